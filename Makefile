@@ -1,0 +1,44 @@
+# Two commands for a fresh machine: `make demo` runs the main job, `make test` the tests.
+# Each makes the environment it needs in .venv, from the versions in constraints.txt.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
+# The networks are small: more threads cost more than they bring.
+export OMP_NUM_THREADS ?= 1
+export MPLBACKEND ?= Agg
+
+.PHONY: demo test check format bench clean
+
+demo: $(VENV)/.run-time
+	$(BIN)/sgvf demo --out demo --overwrite
+
+test: $(VENV)/.development
+	$(BIN)/python -m pytest -m "not benchmark"
+
+check: $(VENV)/.development
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+format: $(VENV)/.development
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+bench: $(VENV)/.development
+	$(BIN)/python -m pytest -m benchmark -s --durations=0
+
+clean:
+	rm -rf $(VENV) demo build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
+
+$(VENV)/.run-time: pyproject.toml constraints.txt
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(INSTALL) -e .
+	touch $@
+
+$(VENV)/.development: pyproject.toml constraints.txt
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(INSTALL) -e ".[dev]"
+	touch $(VENV)/.run-time $@

@@ -1,0 +1,314 @@
+"""The command line: ``sgvf train | follow | fly | demo``.
+
+Commands parse, call the experiments, and print a table; the work is elsewhere.  The heavy
+imports (Drake, torch, matplotlib) happen inside the commands, so that ``sgvf --help`` and
+a mistyped option answer at once.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from enum import StrEnum
+from pathlib import Path
+import sys
+from typing import Annotated, Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+import typer
+
+from sgvf_drake import __version__
+from sgvf_drake.exceptions import ConfigurationError, SgvfError
+from sgvf_drake.progress import Progress as Report
+
+BAD_INPUT = 2
+
+app = typer.Typer(
+    name="sgvf",
+    help="Follow a path that exists only as a cloud of points.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+console = Console()
+errors = Console(stderr=True)
+
+
+class RecipeName(StrEnum):
+    """The recipes, as the command line offers them."""
+
+    PAPER = "paper"
+    ROBUST = "robust"
+    EXACT = "exact"
+
+
+class SamplingName(StrEnum):
+    """How a named shape is sampled."""
+
+    UNIFORM = "uniform"
+    RANDOM = "random"
+
+
+Out = Annotated[Path, typer.Option(help="Folder of the results.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace results in --out.")]
+FieldPath = Annotated[
+    Path, typer.Argument(metavar="FIELD", help="A field file, or the folder of its training.")
+]
+Columns = Annotated[
+    str | None,
+    typer.Option(help="Columns of the coordinates, by name or number from 0: x_m,y_m or 0,1."),
+]
+ReferenceFile = Annotated[
+    Path | None,
+    typer.Option(help="True path to measure against: an ordered polyline, in a file."),
+]
+ReferenceColumns = Annotated[
+    str | None, typer.Option(help="Columns of the reference file, as --columns.")
+]
+
+
+@app.command()
+def train(
+    out: Out,
+    points: Annotated[
+        Path | None, typer.Option(help="Waypoints in any order: CSV, text or .npy.")
+    ] = None,
+    shape: Annotated[
+        str | None, typer.Option(help="A named shape in place of a file; see `sgvf shapes`.")
+    ] = None,
+    columns: Columns = None,
+    num_points: Annotated[int, typer.Option(help="Waypoints of the shape.")] = 200,
+    noise: Annotated[float, typer.Option(help="Noise of the shape's waypoints, std.")] = 0.0,
+    sampling: Annotated[
+        SamplingName, typer.Option(help="Sampling of the shape.")
+    ] = SamplingName.UNIFORM,
+    recipe: Annotated[RecipeName, typer.Option(help="How to learn.")] = RecipeName.ROBUST,
+    seed: Annotated[int, typer.Option(help="Of every random number of the run.")] = 0,
+    overwrite: Overwrite = False,
+) -> None:
+    """Train a guiding field from waypoints."""
+    from sgvf_drake.experiments import run_train
+    from sgvf_drake.learning import TrainingConfig
+    from sgvf_drake.paths import PointCloud, make_shape
+
+    if (points is None) == (shape is None):
+        raise ConfigurationError("give either --points FILE or --shape NAME")
+    if points is not None:
+        cloud = PointCloud.read(points, _columns(columns))
+    else:
+        assert shape is not None
+        cloud, _ = make_shape(shape, num_points, noise, seed, sampling.value)
+    config = TrainingConfig(recipe=recipe.value, seed=seed)
+    with _progress() as progress:
+        summary = run_train(cloud, config, out, overwrite=overwrite, progress=progress)
+    _print_training(summary)
+    _print_folder(out)
+
+
+@app.command()
+def follow(
+    field: FieldPath,
+    out: Out,
+    starts: Annotated[int, typer.Option(help="Agents, on a grid over the box.")] = 400,
+    reference: ReferenceFile = None,
+    columns: ReferenceColumns = None,
+    duration: Annotated[
+        float | None, typer.Option(help="Seconds at unit speed  [default: 1.5 laps + 15 U].")
+    ] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Follow a field with many kinematic agents from a grid of starts."""
+    from sgvf_drake.experiments import choose_reference, open_field, run_follow
+
+    loaded = open_field(field)
+    chosen = choose_reference(loaded, reference, _columns(columns))
+    with _progress() as progress:
+        summary = run_follow(
+            loaded,
+            chosen,
+            out,
+            starts=starts,
+            duration=duration,
+            overwrite=overwrite,
+            progress=progress,
+        )
+    _print_following(summary)
+    _print_folder(out)
+
+
+@app.command()
+def fly(
+    field: FieldPath,
+    out: Out,
+    speed: Annotated[float, typer.Option(help="Commanded speed, m/s.")] = 0.45,
+    laps: Annotated[float, typer.Option(help="Laps of every piece, at least 1.")] = 2.0,
+    altitude: Annotated[float, typer.Option(help="Height of a planar flight, m.")] = 1.0,
+    scale: Annotated[float, typer.Option(help="Metres in one unit of the waypoints.")] = 1.0,
+    reference: ReferenceFile = None,
+    columns: ReferenceColumns = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Fly Drake's quadrotor along every piece of the path."""
+    from sgvf_drake.experiments import choose_reference, open_field, run_fly, scale_reference
+
+    loaded = open_field(field)
+    path, kind = choose_reference(loaded, reference, _columns(columns))
+    metric = loaded.rescaled(scale)
+    with _progress() as progress:
+        summary = run_fly(
+            metric,
+            (scale_reference(path, scale), kind),
+            out,
+            speed=speed,
+            laps=laps,
+            altitude=altitude,
+            overwrite=overwrite,
+            progress=progress,
+        )
+    _print_flight(summary)
+    _print_folder(out)
+
+
+@app.command()
+def demo(out: Out = Path("demo"), overwrite: Overwrite = False) -> None:
+    """Train on the paper's concentric rings, follow them, and fly each of them."""
+    from sgvf_drake.experiments import run_demo
+
+    with _progress() as progress:
+        summary = run_demo(out, overwrite=overwrite, progress=progress)
+    _print_training(summary["train"])
+    _print_following(summary["follow"])
+    _print_flight(summary["fly"])
+    _print_folder(out)
+
+
+@app.command()
+def shapes() -> None:
+    """List the named shapes."""
+    from sgvf_drake.paths import SHAPES
+
+    console.print("\n".join(SHAPES))
+
+
+def _version(value: bool) -> None:
+    if value:
+        console.print(f"sgvf_drake {__version__}", highlight=False)
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show it.")
+    ] = False,
+) -> None:
+    """Follow a path that exists only as a cloud of points."""
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Runs the command line; bad input ends in one line on stderr and exit status 2."""
+    try:
+        app(arguments)
+    except (SgvfError, OSError) as error:
+        # Not as markup: a message may hold brackets.
+        errors.print(f"error: {error}", markup=False, highlight=False, soft_wrap=True)
+        sys.exit(BAD_INPUT)
+
+
+def _columns(columns: str | None) -> list[str | int] | None:
+    return None if columns is None else [name.strip() for name in columns.split(",")]
+
+
+@contextmanager
+def _progress() -> Iterator[Report]:
+    """A progress bar a stage, on a terminal only."""
+    bars = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeRemainingColumn(),
+        console=errors,
+        transient=True,
+        disable=not errors.is_terminal,
+    )
+    tasks: dict[str, Any] = {}
+
+    def report(stage: str, done: float, total: float) -> None:
+        if stage not in tasks:
+            tasks[stage] = bars.add_task(stage, total=total)
+        bars.update(tasks[stage], completed=done, total=total)
+
+    with bars:
+        yield report
+
+
+def _print_training(summary: Mapping[str, Any]) -> None:
+    rows = {
+        "recipe, seed": f"{summary['recipe']}, {summary['seed']}",
+        "waypoints": f"{summary['num_points']} in {summary['dim']}-D",
+        "unit length U": f"{summary['unit_length']:.4g}",
+        "noise level": f"{summary['sigma']:.3g} U",
+        "training": f"{summary['train_cpu_s']:.1f} s CPU, {summary['restarts']} restarts",
+        "self-check": summary["self_check"]["message"],
+    }
+    _print_table("Training", rows)
+    if not summary["self_check_passed"]:
+        errors.print("warning: the field failed its self-check", style="bold red")
+
+
+def _print_following(summary: Mapping[str, Any]) -> None:
+    U = summary["unit_length"]
+    rows = {
+        "starts": str(summary["starts"]),
+        "reach, lap": f"{summary['reach_fraction']:.1%}, {summary['lap_fraction']:.1%}",
+        "stall, leave": f"{summary['stall_fraction']:.1%}, {summary['leave_fraction']:.1%}",
+        "cross-track RMS": _length(summary["cross_track_rms"], U),
+        "cross-track max": _length(summary["cross_track_max"], U),
+        "speed on the path": (
+            f"{summary['speed_on_path_min']:.3f} to {summary['speed_on_path_max']:.3f}"
+        ),
+        "reference": summary["reference"],
+    }
+    _print_table("Following", rows)
+
+
+def _length(value: float | None, unit: float) -> str:
+    return "no agent settled" if value is None else f"{value:.4g} ({value / unit:.4f} U)"
+
+
+def _print_flight(summary: Mapping[str, Any]) -> None:
+    demand, limit = summary["acceleration_demand_m_s2"], summary["acceleration_limit_m_s2"]
+    verdict = "feasible" if demand < limit else "NOT feasible"
+    table = Table(title="Flight", title_justify="left")
+    headings = ("piece", "RMS [m]", "max [m]", "speed [m/s]", "altitude RMS [m]")
+    for heading in (*headings, "largest force [N]", "saturated", "laps", "real-time factor"):
+        table.add_column(heading, justify="right")
+    for piece in summary["pieces"]:
+        table.add_row(
+            str(piece["piece"] + 1),
+            _number(piece["cross_track_rms_m"]),
+            _number(piece["cross_track_max_m"]),
+            f"{piece['speed_mean_m_s']:.3f}",
+            _number(piece["altitude_rms_m"]),
+            f"{piece['motor_force_max_n']:.2f}",
+            f"{piece['saturated_fraction']:.1%}",
+            f"{piece['laps']:.2f}",
+            f"{piece['real_time_factor']:.0f}",
+        )
+    console.print(f"acceleration {demand:.2f} of {limit:.1f} m/s^2: {verdict}", highlight=False)
+    console.print(table)
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4f}"
+
+
+def _print_table(title: str, rows: Mapping[str, str]) -> None:
+    table = Table(title=title, show_header=False, title_justify="left")
+    for name, value in rows.items():
+        table.add_row(name, value)
+    console.print(table)
+
+
+def _print_folder(out: Path) -> None:
+    console.print(f"results in {out}", markup=False, highlight=False, soft_wrap=True)

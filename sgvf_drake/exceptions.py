@@ -1,0 +1,29 @@
+"""The errors that this library raises on purpose, as one small tree.
+
+Catch `SgvfError` to catch all of them.  Each one is also the built-in error that a
+reader would expect, so ``except ValueError`` and ``except FileExistsError`` work too.
+"""
+
+
+class SgvfError(Exception):
+    """Base of every error that is raised on purpose by sgvf_drake and systems."""
+
+
+class PointCloudError(SgvfError, ValueError):
+    """The waypoints cannot be used: the message names the file, the line or the value."""
+
+
+class FieldFileError(SgvfError, ValueError):
+    """A field file is damaged, foreign, or of another version."""
+
+
+class ConfigurationError(SgvfError, ValueError):
+    """An option, a shape name or a parameter has a value that cannot be used."""
+
+
+class OutputExistsError(SgvfError, FileExistsError):
+    """Writing would replace a file; nothing was written."""
+
+
+class NonFiniteValueError(SgvfError, ArithmeticError):
+    """A system met a NaN or an infinity; the message names the system and the time."""

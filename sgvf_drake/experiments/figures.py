@@ -1,0 +1,74 @@
+"""The figures that the commands leave behind, each from one result."""
+
+from pathlib import Path
+
+from matplotlib.lines import Line2D
+import numpy as np
+import pandas as pd
+
+from sgvf_drake import plotting
+from sgvf_drake.experiments.fly import FlightResult, PieceFlight
+from sgvf_drake.experiments.follow import FollowResult
+from sgvf_drake.fields import GuidingField
+
+
+def training_figure(field: GuidingField, history: pd.DataFrame, path: Path) -> None:
+    """Saves the field with its waypoints beside the losses (paper, Fig. 2)."""
+    stages = list(history.groupby("stage", sort=False))
+    planar = field.dim == 2
+    columns = len(stages) + planar
+    figure, axes = plotting.new_figure(1, columns, 5 * columns, 4.6)
+    if planar:
+        plotting.plot_field(axes[0], field, field.cloud.box)
+        plotting.plot_waypoints(axes[0], field.cloud.points)
+        plotting.plane_axes(axes[0], "unit of the waypoints", "guiding field")
+    for stage_axes, (_, losses) in zip(axes[planar:], stages, strict=True):
+        plotting.plot_losses(stage_axes, losses)
+    figure.savefig(path, dpi=plotting.DPI)
+
+
+def follow_figure(field: GuidingField, result: FollowResult, path: Path) -> None:
+    """Saves trajectories over the field, and the cross-track error over time."""
+    figure, axes = plotting.new_figure(1, 2, 11, 5.2)
+    if field.dim == 2:
+        plotting.plot_field(axes[0], field, field.cloud.box)
+    plotting.plot_trajectories(axes[0], result.positions, result.metrics.lapped)
+    plotting.plot_waypoints(axes[0], field.cloud.points)
+    title = f"{result.metrics.lapped.sum()} of {result.positions.shape[1]} starts complete a lap"
+    plotting.plane_axes(axes[0], "unit of the waypoints", title)
+    plotting.plot_cross_track(
+        axes[1], result.times, result.errors, "unit of the waypoints", "s at unit speed"
+    )
+    figure.savefig(path, dpi=plotting.DPI)
+
+
+def flight_figure(
+    field: GuidingField, flight: PieceFlight, result: FlightResult, path: Path
+) -> None:
+    """Saves one flight: trajectory, error, velocity and propeller forces (paper, Fig. 3)."""
+    figure, axes = plotting.new_figure(2, 2, 12, 8.5)
+    log = flight.log
+    if field.dim == 2:
+        plotting.plot_field(axes[0], field, field.cloud.box)
+    plotting.plot_waypoints(axes[0], field.cloud.points)
+    positions = log[["x", "y"]].to_numpy()[:, None, :]
+    plotting.plot_trajectories(axes[0], positions)
+    plotting.plane_axes(axes[0], "m", "flight from a hover beside the path")
+    handles = [Line2D([], [], color=plotting.BLUE), Line2D([], [], color="black", ls=":")]
+    axes[0].legend(handles, ["quadrotor", "waypoints"], loc="upper right")
+    errors = log["cross_track_error"].to_numpy()[:, None]
+    plotting.plot_cross_track(axes[1], log["time"].to_numpy(), errors, "m")
+    plotting.plot_velocity(axes[2], log)
+    plotting.plot_propeller_forces(axes[3], log, result.parameters.max_propeller_force)
+    figure.savefig(path, dpi=plotting.DPI)
+
+
+def trajectory_table(result: FollowResult) -> pd.DataFrame:
+    """Returns the trajectories as one row an agent and time: agent, time, x, y[, z ...]."""
+    steps, agents, dim = result.positions.shape
+    names = ["x", "y", "z"][:dim] if dim <= 3 else [f"x{k}" for k in range(dim)]
+    table = pd.DataFrame(result.positions.reshape(-1, dim), columns=names)
+    table.insert(0, "time", np.repeat(result.times, agents))
+    table.insert(0, "agent", np.tile(np.arange(agents), steps))
+    table["cross_track_error"] = result.errors.ravel()
+    return table

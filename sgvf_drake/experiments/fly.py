@@ -1,0 +1,250 @@
+"""Fly Drake's quadrotor along every piece of a path, and measure how well."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from pydrake.systems.framework import Context, Diagram
+
+from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.experiments.simulation import advance
+from sgvf_drake.fields import FloatArray, GuidingField
+from sgvf_drake.metrics import follow_metrics
+from sgvf_drake.paths import Reference, ReferencePath, TreeReference
+from sgvf_drake.progress import Progress, no_progress
+from systems import MakeFlightDiagram, MakeSimulator, QuadrotorParameters, SetHover
+
+# The vehicle hovers this many U beside the path at the start.
+START_OFFSET = 0.5
+# Time is added for a way in of this many U.
+WAY_IN = 4.0
+LOG_PERIOD = 0.01
+# Saturation is judged after the take-off.
+TAKE_OFF_S = 1.0
+# A propeller this close to a limit, relative to the limit, is saturated.
+SATURATION_MARGIN = 1e-6
+# Points of the reference at which the demand of the path is read.
+DEMAND_SAMPLES = 2_000
+STATE_COLUMNS = (
+    *("x", "y", "z", "roll", "pitch", "yaw"),
+    *("vx", "vy", "vz", "roll_rate", "pitch_rate", "yaw_rate"),
+)
+COMMAND_COLUMNS = ("vx_command", "vy_command", "vz_command")
+FORCE_COLUMNS = ("force_1", "force_2", "force_3", "force_4")
+
+
+@dataclass(frozen=True)
+class Feasibility:
+    """Whether the thrust allows a speed on the path.
+
+    Attributes:
+        demand: Largest speed^2 |J m| on the path, m/s^2: the acceleration of a vehicle
+            that moves exactly along the field.
+        limit: Horizontal acceleration that the thrust allows in level flight, m/s^2.
+    """
+
+    demand: float
+    limit: float
+
+    @property
+    def is_feasible(self) -> bool:
+        """Whether the demand stays below the limit."""
+        return self.demand < self.limit
+
+
+@dataclass(frozen=True, eq=False)
+class PieceFlight:
+    """One flight along one piece.
+
+    Attributes:
+        piece: Number of the piece in the reference.
+        log: One row a sample of 10 ms: time (s), the state (x ... yaw_rate, SI), the
+            velocity command, the propeller forces (N) and the cross-track error (m).
+        summary: The figures of this flight by the names of `summary.json`.
+    """
+
+    piece: int
+    log: pd.DataFrame
+    summary: dict[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class FlightResult:
+    """The flights along all pieces of a path.
+
+    Attributes:
+        flights: One a piece.
+        feasibility: The demand of the path at the commanded speed.
+        parameters: The vehicle.
+    """
+
+    flights: Sequence[PieceFlight]
+    feasibility: Feasibility
+    parameters: QuadrotorParameters
+
+    def summary(self) -> dict[str, Any]:
+        """Returns the worst of the pieces, and each of them under `pieces`."""
+        pieces = [flight.summary for flight in self.flights]
+
+        def worst(key: str, pick: Any) -> float | None:
+            values = [piece[key] for piece in pieces]
+            return None if None in values else pick(values)
+
+        speeds = [piece["speed_mean_m_s"] for piece in pieces]
+        commanded = pieces[0]["speed_command_m_s"]
+        return {
+            "cross_track_rms_m": worst("cross_track_rms_m", max),
+            "cross_track_max_m": worst("cross_track_max_m", max),
+            "speed_mean_m_s": max(speeds, key=lambda speed: abs(speed - commanded)),
+            "speed_command_m_s": commanded,
+            "altitude_rms_m": worst("altitude_rms_m", max),
+            "motor_force_max_n": worst("motor_force_max_n", max),
+            "motor_force_limit_n": self.parameters.max_propeller_force,
+            "saturated_fraction": worst("saturated_fraction", max),
+            "saturated_fraction_after_take_off": worst("saturated_fraction_after_take_off", max),
+            "laps": worst("laps", min),
+            "real_time_factor": worst("real_time_factor", min),
+            "acceleration_demand_m_s2": self.feasibility.demand,
+            "acceleration_limit_m_s2": self.feasibility.limit,
+            "pieces": pieces,
+        }
+
+
+def check_feasibility(
+    field: GuidingField, reference: Reference, speed: float, parameters: QuadrotorParameters
+) -> Feasibility:
+    """Compares the acceleration that the path demands with what the thrust allows."""
+    if isinstance(reference, ReferencePath):
+        points = np.concatenate([piece.sample(DEMAND_SAMPLES) for piece in reference.pieces])
+    else:
+        points = field.cloud.points
+    m, J = field.value_and_jacobian(points)
+    turning = np.linalg.norm(np.einsum("nij,nj->ni", J, m), axis=1)
+    return Feasibility(speed**2 * float(turning.max()), parameters.max_horizontal_acceleration)
+
+
+def fly(
+    field: GuidingField,
+    reference: Reference,
+    speed: float = 0.45,
+    laps: float = 2.0,
+    altitude: float = 1.0,
+    parameters: QuadrotorParameters | None = None,
+    progress: Progress = no_progress,
+) -> FlightResult:
+    """Flies the quadrotor along every piece, each from an off-path hover.
+
+    Args:
+        field: The field, in metres; planar or spatial.
+        reference: What the flights are measured against, in metres.
+        speed: Commanded speed, m/s.
+        laps: Lengths of the piece that time is given for, after the way in; at least 1,
+            since the last lap is what is measured.
+        altitude: Height of the flight where the field is planar, m.
+        parameters: The vehicle; None: the paper's.
+        progress: Told how far each simulation is.
+
+    Raises:
+        ConfigurationError: A value cannot be used, or the field is neither planar nor
+            spatial.
+        NonFiniteValueError: A value in the loop became NaN or infinite.
+    """
+    parameters = parameters or QuadrotorParameters()
+    if not (np.isfinite(speed) and speed > 0):
+        raise ConfigurationError(f"the speed must be a positive number, not {speed}")
+    if not (np.isfinite(laps) and laps >= 1):
+        raise ConfigurationError(f"the number of laps must be at least 1, not {laps}")
+    diagram = MakeFlightDiagram(field, parameters, speed=speed, altitude=altitude, log_period=LOG_PERIOD)
+    flights = []
+    for piece in flown_pieces(reference, field.cloud.unit_length):
+        start = hover_start(reference, piece, field.cloud.unit_length, altitude)
+        way_in = WAY_IN * field.cloud.unit_length
+        duration = (laps * float(reference.lengths[piece]) + way_in) / speed
+        log, wall_s = simulate(diagram, start, duration, progress)
+        errors = reference.project(log[["x", "y", "z"][: field.dim]].to_numpy()).distance
+        log["cross_track_error"] = errors
+        summary = _summarize(log, field, reference, speed, altitude, parameters)
+        summary["real_time_factor"] = duration / wall_s
+        flights.append(PieceFlight(piece, log, {"piece": piece, **summary}))
+    feasibility = check_feasibility(field, reference, speed, parameters)
+    return FlightResult(flights, feasibility, parameters)
+
+
+def flown_pieces(reference: Reference, unit_length: float) -> list[int]:
+    """Returns the pieces long enough to fly: all but stray points, shorter than one U."""
+    return [int(piece) for piece in np.flatnonzero(reference.lengths >= unit_length)]
+
+
+def hover_start(
+    reference: Reference, piece: int, unit_length: float, altitude: float
+) -> FloatArray:
+    """Returns a position (3,) beside the first point of a piece, away from its middle."""
+    if isinstance(reference, TreeReference):
+        points = reference.points[reference.pieces[piece].order]
+    else:
+        points = reference.pieces[piece].vertices
+    outward = points[0] - points.mean(axis=0)
+    outward /= max(float(np.linalg.norm(outward)), 1e-12)
+    start = points[0] + START_OFFSET * unit_length * outward
+    return start if len(start) == 3 else np.append(start, altitude)
+
+
+def simulate(
+    diagram: Diagram, start: FloatArray, duration: float, progress: Progress = no_progress
+) -> tuple[pd.DataFrame, float]:
+    """Flies from a hover at `start` (3,); returns the log and the wall time in seconds."""
+    simulator = MakeSimulator(diagram)
+    context = simulator.get_mutable_context()
+    SetHover(diagram, context, start)
+    wall_s = advance(simulator, duration, LOG_PERIOD, "fly", progress)
+    return flight_log(diagram, context), wall_s
+
+
+def flight_log(diagram: Diagram, context: Context) -> pd.DataFrame:
+    """Returns what the logs of a flight diagram hold, as one table."""
+    tables = []
+    for name, columns in (
+        ("state_log", STATE_COLUMNS),
+        ("velocity_command_log", COMMAND_COLUMNS),
+        ("propeller_force_log", FORCE_COLUMNS),
+    ):
+        log = diagram.GetSubsystemByName(name).FindLog(context)
+        tables.append(pd.DataFrame(log.data().T.copy(), columns=list(columns)))
+    times = pd.Series(log.sample_times().copy(), name="time")
+    return pd.concat([times, *tables], axis=1)
+
+
+def _summarize(
+    log: pd.DataFrame,
+    field: GuidingField,
+    reference: Reference,
+    speed: float,
+    altitude: float,
+    parameters: QuadrotorParameters,
+) -> dict[str, Any]:
+    positions = log[["x", "y", "z"][: field.dim]].to_numpy()[:, None, :]
+    unit, box = field.cloud.unit_length, field.cloud.box
+    times = log["time"].to_numpy()
+    metrics = follow_metrics(times, positions, unit, box, reference, speed)
+    figures = metrics.summary()
+    last_lap = log.tail(max(int(metrics.samples[0]), 1))
+    forces = log[list(FORCE_COLUMNS)].to_numpy()
+    limit = parameters.max_propeller_force
+    margin = SATURATION_MARGIN * limit
+    saturated = ((forces <= margin) | (forces >= limit - margin)).any(axis=1)
+    altitude_error = last_lap["z"] - altitude if field.dim == 2 else pd.Series([np.nan])
+    return {
+        "cross_track_rms_m": figures["cross_track_rms"],
+        "cross_track_max_m": figures["cross_track_max"],
+        "speed_mean_m_s": float(np.linalg.norm(last_lap[["vx", "vy", "vz"]], axis=1).mean()),
+        "speed_command_m_s": speed,
+        "altitude_rms_m": float(np.sqrt((altitude_error**2).mean())),
+        "motor_force_max_n": float(forces.max()),
+        "saturated_fraction": float(saturated.mean()),
+        "saturated_fraction_after_take_off": float(saturated[times > TAKE_OFF_S].mean()),
+        "laps": abs(float(metrics.laps[0])),
+        "duration_s": float(times[-1]),
+        "start_m": log[["x", "y", "z"]].iloc[0].tolist(),
+    }

@@ -1,0 +1,120 @@
+"""Follow a field with many kinematic agents, and measure how well."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.experiments.simulation import advance
+from sgvf_drake.fields import FloatArray, GuidingField
+from sgvf_drake.metrics import FollowMetrics, default_duration, follow_metrics, grid_starts
+from sgvf_drake.paths import Reference, ReferencePath
+from sgvf_drake.progress import Progress, no_progress
+from systems import MakeKinematicDiagram, MakeSimulator, SetPositions
+
+# The integrator's step in U at a speed of one U a second, at most and in noise levels: the
+# field turns within about half a noise level.
+STEP = 0.05
+STEP_PER_SIGMA = 0.5
+LOG_PERIOD = 0.05
+# Points of the reference at which the speed on the path is read.
+SPEED_SAMPLES = 2_000
+
+
+@dataclass(frozen=True, eq=False)
+class FollowResult:
+    """Trajectories of n agents and what they say of the field.
+
+    Attributes:
+        times: (T,) seconds at unit speed, that is, length travelled on the path.
+        positions: (T, n, d) in the unit of the field.
+        errors: (T, n) cross-track errors in the unit of the field.
+        metrics: Reach, lap, stall, leave and cross-track error.
+        speed_on_path: Smallest and largest |m| on the reference.
+        wall_s: Time of the simulation, building and measuring excluded.
+    """
+
+    times: FloatArray
+    positions: FloatArray
+    errors: FloatArray
+    metrics: FollowMetrics
+    speed_on_path: tuple[float, float]
+    wall_s: float
+
+    def summary(self) -> dict[str, Any]:
+        """Returns the figures by the names of `summary.json`."""
+        return {
+            "starts": self.positions.shape[1],
+            **self.metrics.summary(),
+            "speed_on_path_min": self.speed_on_path[0],
+            "speed_on_path_max": self.speed_on_path[1],
+            "duration": float(self.times[-1]),
+            "wall_s": self.wall_s,
+        }
+
+
+def follow(
+    field: GuidingField,
+    reference: Reference,
+    starts: int = 400,
+    duration: float | None = None,
+    progress: Progress = no_progress,
+) -> FollowResult:
+    """Follows a field from a grid of starts over its box, in one Drake diagram.
+
+    Inside, agents travel one unit U a second, so that the steps of the simulation fit a
+    path in millimetres as well as one in kilometres.
+
+    Args:
+        field: The field.
+        reference: What the trajectories are measured against, in the field's unit.
+        starts: Number of agents.
+        duration: Seconds at unit speed; None: 1.5 longest pieces + 15 U.
+        progress: Told how far the simulation is.
+
+    Raises:
+        ConfigurationError: The duration is not a positive number, or no start is asked for.
+        NonFiniteValueError: The field is not finite somewhere on the way.
+    """
+    unit = field.cloud.unit_length
+    if duration is None:
+        duration = default_duration(reference, unit)
+    if not (np.isfinite(duration) and duration > 0):
+        raise ConfigurationError(f"the duration must be a positive number, not {duration}")
+    grid = grid_starts(field.cloud.box, starts, field.dim)
+    times, positions, wall_s = _simulate(field, grid, duration, progress)
+    errors = reference.project(positions.reshape(-1, field.dim)).distance
+    return FollowResult(
+        times=times,
+        positions=positions,
+        errors=errors.reshape(positions.shape[:2]),
+        metrics=follow_metrics(times, positions, unit, field.cloud.box, reference),
+        speed_on_path=_speed_on_path(field, reference),
+        wall_s=wall_s,
+    )
+
+
+def _simulate(
+    field: GuidingField, starts: FloatArray, duration: float, progress: Progress
+) -> tuple[FloatArray, FloatArray, float]:
+    unit = field.cloud.unit_length
+    diagram = MakeKinematicDiagram(field, len(starts), speed=unit, log_period=LOG_PERIOD)
+    step = min(STEP, STEP_PER_SIGMA * field.sigma)
+    simulator = MakeSimulator(diagram, step=step)
+    context = simulator.get_mutable_context()
+    SetPositions(diagram, context, starts)
+    wall_s = advance(simulator, duration / unit, LOG_PERIOD, "follow", progress)
+    log = diagram.GetSubsystemByName("positions_log").FindLog(context)
+    positions = log.data().T.reshape(-1, *starts.shape)
+    return log.sample_times() * unit, positions, wall_s
+
+
+def _speed_on_path(field: GuidingField, reference: Reference) -> tuple[float, float]:
+    if isinstance(reference, ReferencePath):
+        share = SPEED_SAMPLES // len(reference.pieces)
+        points = np.concatenate([piece.sample(share) for piece in reference.pieces])
+    else:
+        points = field.cloud.points
+    speeds = np.linalg.norm(field(points), axis=1)
+    return float(speeds.min()), float(speeds.max())

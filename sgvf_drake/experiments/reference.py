@@ -1,0 +1,53 @@
+"""Against what a field is measured: a file, the true shape, or the cloud itself."""
+
+from collections.abc import Sequence
+from os import PathLike
+
+from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.fields import GuidingField
+from sgvf_drake.paths import Piece, Reference, ReferencePath, shape_path, tree_reference
+
+
+def choose_reference(
+    field: GuidingField,
+    file: str | PathLike[str] | None = None,
+    columns: Sequence[str | int] | None = None,
+    *,
+    closed: bool | None = None,
+) -> tuple[Reference, str]:
+    """Returns the best reference there is for a field, and its kind.
+
+    Args:
+        field: The field to be measured.
+        file: An ordered polyline in the field's unit; it comes first where given.
+        columns: Which columns of the file hold the coordinates.
+        closed: Whether the file's polyline is closed; None: if its last point repeats its
+            first.
+
+    Returns:
+        The reference and `file`, `shape` (the field was trained on a named shape) or
+        `cloud` (the spanning tree of the waypoints).
+
+    Raises:
+        PointCloudError: The file cannot be read.
+        ConfigurationError: The file has another dimension than the field.
+    """
+    if file is not None:
+        path = ReferencePath.read(file, columns, closed)
+        if path.dim != field.dim:
+            raise ConfigurationError(
+                f"{file}: the reference has {path.dim} coordinates, the field {field.dim}"
+            )
+        return path, "file"
+    if field.cloud.shape is not None:
+        return shape_path(field.cloud.shape), "shape"
+    return tree_reference(field.cloud), "cloud"
+
+
+def scale_reference(reference: Reference, factor: float) -> Reference:
+    """Returns the reference in another unit of length: positions times `factor`."""
+    if not isinstance(reference, ReferencePath):
+        raise TypeError(f"cannot scale a {type(reference).__name__}")
+    return ReferencePath(
+        tuple(Piece(piece.vertices * factor, piece.closed) for piece in reference.pieces)
+    )

@@ -1,0 +1,86 @@
+"""Where results go: a folder that is written whole or not at all."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+import json
+import math
+import os
+from pathlib import Path
+import shutil
+import tempfile
+from typing import Any
+
+import numpy as np
+
+from sgvf_drake.exceptions import ConfigurationError, OutputExistsError
+
+SUMMARY = "summary.json"
+
+
+@contextmanager
+def result_folder(
+    out: str | os.PathLike[str], names: Sequence[str], *, overwrite: bool = False
+) -> Iterator[Path]:
+    """Gives a folder to write to, whose files move to `out` when all of them are there.
+
+    Args:
+        out: The folder of the results; made, with its parents, if it is not there.
+        names: The files and folders that will be written, so that a clash is found before
+            the work and not after it.
+        overwrite: Whether files of these names may be replaced.
+
+    Raises:
+        OutputExistsError: `out` holds one of them already and `overwrite` is false.
+        ConfigurationError: `out` cannot be a folder.
+    """
+    out = Path(out)
+    clashes = [name for name in names if (out / name).exists()]
+    if clashes and not overwrite:
+        raise OutputExistsError(
+            f"{out} already holds {', '.join(clashes)}; "
+            "choose another --out, or pass --overwrite to replace them"
+        )
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        # Beside the target, on the same file system: then a move is a rename.
+        temporary = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name}."))
+    except OSError as error:
+        raise ConfigurationError(f"cannot write to {out}: {error.strerror}") from None
+    try:
+        yield temporary
+        written = sorted(path.name for path in temporary.iterdir())
+        assert set(written) <= set(names), f"undeclared results {written}"
+        _move(temporary, out, written)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _move(source: Path, target: Path, names: Sequence[str]) -> None:
+    try:
+        target.mkdir(exist_ok=True)
+    except OSError as error:
+        raise ConfigurationError(f"cannot write to {target}: {error.strerror}") from None
+    for name in names:
+        if (target / name).is_dir():
+            shutil.rmtree(target / name)
+        os.replace(source / name, target / name)
+
+
+def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
+    """Writes `summary.json`; NumPy values become plain ones, non-finite numbers null."""
+    text = json.dumps(_plain(summary), indent=2, allow_nan=False)
+    (folder / SUMMARY).write_text(text + "\n", encoding="utf-8")
+
+
+def _plain(value: Any) -> Any:
+    match value:
+        case Mapping():
+            return {str(key): _plain(item) for key, item in value.items()}
+        case list() | tuple() | np.ndarray():
+            return [_plain(item) for item in value]
+        case np.generic():
+            return _plain(value.item())
+        case float() if not math.isfinite(value):
+            return None
+        case _:
+            return value

@@ -1,0 +1,158 @@
+"""The commands' work: train, follow and fly, each into a folder of results."""
+
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from sgvf_drake.experiments import figures
+from sgvf_drake.experiments.fly import fly
+from sgvf_drake.experiments.follow import follow
+from sgvf_drake.experiments.reference import choose_reference
+from sgvf_drake.experiments.results import SUMMARY, result_folder, write_summary
+from sgvf_drake.fields import GuidingField, load_field
+from sgvf_drake.paths import PointCloud, Reference
+from sgvf_drake.progress import Progress, no_progress
+
+FIELD_FILE = "field.safetensors"
+TRAIN_FILES = (SUMMARY, FIELD_FILE, "losses.csv", "field.png")
+FOLLOW_FILES = (SUMMARY, "trajectories.parquet", "follow.png")
+
+Folder = str | PathLike[str]
+
+
+def open_field(path: Folder) -> GuidingField:
+    """Loads a field from its file, or from the folder of its training.
+
+    Raises:
+        FieldFileError: There is no field, or it is damaged or foreign.
+    """
+    path = Path(path)
+    return load_field(path / FIELD_FILE if path.is_dir() else path)
+
+
+def run_train(
+    cloud: PointCloud,
+    config: Any,
+    out: Folder,
+    *,
+    overwrite: bool = False,
+    progress: Progress = no_progress,
+) -> dict[str, Any]:
+    """Trains a field; leaves the field, the losses, a figure and the summary.
+
+    Args:
+        cloud: The waypoints.
+        config: A `TrainingConfig`.
+        out: The folder of the results.
+        overwrite: Whether results there may be replaced.
+        progress: Told how far the training is.
+
+    Returns:
+        The summary.
+    """
+    # Imported here: follow and fly do without torch.
+    from sgvf_drake.learning import train
+
+    with result_folder(out, TRAIN_FILES, overwrite=overwrite) as folder:
+        result = train(cloud, config, progress)
+        result.field.save(folder / FIELD_FILE)
+        result.history.to_csv(folder / "losses.csv", index=False)
+        figures.training_figure(result.field, result.history, folder / "field.png")
+        summary = {
+            "recipe": result.field.recipe,
+            "seed": result.field.seed,
+            "num_points": cloud.num_points,
+            "dim": cloud.dim,
+            "unit_length": cloud.unit_length,
+            "shape": cloud.shape,
+            "digest": cloud.digest,
+            "train_cpu_s": result.cpu_s,
+            "train_wall_s": result.wall_s,
+            "self_check_passed": result.self_check.passed,
+            "self_check": result.self_check.to_json(),
+            "restarts": result.restarts,
+            "sigma": result.field.sigma,
+            "gain": result.field.composition.gain,
+            "config": result.config.to_json(),
+        }
+        write_summary(folder, summary)
+    return summary
+
+
+def run_follow(
+    field: GuidingField,
+    reference: tuple[Reference, str] | None,
+    out: Folder,
+    *,
+    starts: int = 400,
+    duration: float | None = None,
+    overwrite: bool = False,
+    progress: Progress = no_progress,
+) -> dict[str, Any]:
+    """Follows a field from a grid of starts; leaves trajectories, a figure, the summary.
+
+    Args:
+        field: The field.
+        reference: From `choose_reference`; None: the best there is without a file.
+        out: The folder of the results.
+        starts: Number of starts.
+        duration: Seconds at unit speed; None: 1.5 longest pieces + 15 U.
+        overwrite: Whether results there may be replaced.
+        progress: Told how far the simulation is.
+
+    Returns:
+        The summary.
+    """
+    path, kind = reference or choose_reference(field)
+    with result_folder(out, FOLLOW_FILES, overwrite=overwrite) as folder:
+        result = follow(field, path, starts, duration, progress)
+        figures.trajectory_table(result).to_parquet(folder / "trajectories.parquet")
+        figures.follow_figure(field, result, folder / "follow.png")
+        unit = {"unit_length": field.cloud.unit_length, "reference": kind}
+        summary = {**result.summary(), **unit, **_origin(field)}
+        write_summary(folder, summary)
+    return summary
+
+
+def run_fly(
+    field: GuidingField,
+    reference: tuple[Reference, str] | None,
+    out: Folder,
+    *,
+    speed: float = 0.45,
+    laps: float = 2.0,
+    altitude: float = 1.0,
+    overwrite: bool = False,
+    progress: Progress = no_progress,
+) -> dict[str, Any]:
+    """Flies the quadrotor along every piece; leaves logs, a figure a piece, the summary.
+
+    Args:
+        field: The field, in metres.
+        reference: From `choose_reference`; None: the best there is without a file.
+        out: The folder of the results.
+        speed: Commanded speed, m/s.
+        laps: Lengths of each piece, at least 1.
+        altitude: Height of the flight where the field is planar, m.
+        overwrite: Whether results there may be replaced.
+        progress: Told how far each simulation is.
+
+    Returns:
+        The summary.
+    """
+    path, kind = reference or choose_reference(field)
+    pieces = range(1, 1 + len(path.lengths))
+    names = [f"flight_{n}.{suffix}" for n in pieces for suffix in ("png", "parquet")]
+    with result_folder(out, (SUMMARY, *names), overwrite=overwrite) as folder:
+        result = fly(field, path, speed, laps, altitude, progress=progress)
+        for flight in result.flights:
+            stem = folder / f"flight_{flight.piece + 1}"
+            flight.log.to_parquet(stem.with_suffix(".parquet"))
+            figures.flight_figure(field, flight, result, stem.with_suffix(".png"))
+        summary = {**result.summary(), "reference": kind, **_origin(field)}
+        write_summary(folder, summary)
+    return summary
+
+
+def _origin(field: GuidingField) -> dict[str, Any]:
+    return {"recipe": field.recipe, "seed": field.seed, "digest": field.cloud.digest}

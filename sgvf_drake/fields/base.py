@@ -1,0 +1,34 @@
+"""What a guiding field is, to the systems and the experiments: a small protocol."""
+
+from typing import Protocol, runtime_checkable
+
+from numpy.typing import NDArray
+import numpy as np
+
+FloatArray = NDArray[np.float64]
+
+
+@runtime_checkable
+class Field(Protocol):
+    """A guiding vector field m: R^d -> R^d in the user's unit of length.
+
+    Its value is a direction of travel: |m| is about 1 on the path, whatever the unit,
+    so speed times m is a velocity.  Every method takes one point (d,) or a batch (n, d).
+    """
+
+    @property
+    def dim(self) -> int:
+        """The dimension d of the space."""
+
+    def __call__(self, x: FloatArray) -> FloatArray:
+        """Returns m(x): (d,) -> (d,), or (n, d) -> (n, d)."""
+
+    def value_and_jacobian(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Returns m(x), and J[..., i, j] = dm_i/dx_j of shape (d, d) or (n, d, d)."""
+
+    def hessian(self, x: FloatArray) -> FloatArray:
+        """Returns H[..., i, j, k] = d^2 m_i / dx_j dx_k, shape (d, d, d) or (n, d, d, d).
+
+        Only needed where a derivative of the acceleration feed-forward J_m v is taken,
+        that is, under AutoDiffXd.
+        """

@@ -1,0 +1,177 @@
+"""`GuidingField`: a trained guiding vector field, evaluated in NumPy float64."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from os import PathLike
+from typing import Any
+
+import numpy as np
+
+from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.fields.base import FloatArray
+from sgvf_drake.fields.composition import Composition
+from sgvf_drake.fields.mixture import GaussianMixture
+from sgvf_drake.fields.perceptron import Perceptron
+from sgvf_drake.paths import PointCloud
+
+# The step of the complex-step derivative: no difference is taken, so nothing cancels and
+# the error is of the order of its square.
+COMPLEX_STEP = 1e-30
+
+
+@dataclass(frozen=True, eq=False)
+class ScoreNetwork:
+    """A network of (x, t) that gives `scale` times the score at time t.
+
+    Attributes:
+        network: d + 1 inputs (x in normalised units, t in [0, 1]), d outputs.
+        scale: What divides the outputs at t = 1 to make the score: sigma where the network
+            was trained on q = sigma S, 1 where it was trained on S itself.
+    """
+
+    network: Perceptron
+    scale: float
+
+    @cached_property
+    def _at_data_end(self) -> Perceptron:
+        return self.network.with_last_input(1.0)
+
+    def score(self, x: FloatArray) -> FloatArray:
+        """Returns S(x, t = 1): (n, d) -> (n, d)."""
+        return self._at_data_end(x) / self.scale
+
+    def score_and_jacobian(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Returns S(x, t = 1), (n, d), and its Jacobian, (n, d, d)."""
+        output, jacobian = self._at_data_end.value_and_jacobian(x)
+        return output / self.scale, jacobian / self.scale
+
+
+@dataclass(frozen=True, eq=False)
+class GuidingField:
+    """The score-induced guiding vector field m = s + v of a cloud of waypoints.
+
+    Calls take and return NumPy float64 in the unit of the waypoints, for one point (d,) or
+    a batch (n, d).  |m| is about 1 on the path whatever the unit, so speed times m is a
+    velocity.  Inside, everything is normalised to a half-extent of 4.
+
+    Attributes:
+        cloud: The waypoints it was made from; their extent is the normalisation.
+        sigma: The noise level of the score, normalised units.
+        score_model: The raw score S, a network or the exact mixture.
+        tangent_network: The network N of the tangent field, d inputs and d outputs.
+        composition: How S and N make m.
+        recipe: `paper`, `robust` or `exact`.
+        seed: The seed of the training run.
+        provenance: The rest of what is known of its making, as plain JSON values.
+    """
+
+    cloud: PointCloud
+    sigma: float
+    score_model: ScoreNetwork | GaussianMixture
+    tangent_network: Perceptron
+    composition: Composition
+    recipe: str
+    seed: int
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def dim(self) -> int:
+        """The dimension d of the space."""
+        return self.cloud.dim
+
+    @property
+    def mixture(self) -> GaussianMixture:
+        """The exact mixture whose score is learned, in the user's unit."""
+        return GaussianMixture(self.cloud.points, self.sigma * self.cloud.unit_length)
+
+    def __call__(self, x: FloatArray) -> FloatArray:
+        """Returns m(x): (d,) -> (d,), or (n, d) -> (n, d).
+
+        Raises:
+            ValueError: x is not of shape (d,) or (n, d).
+        """
+        z, shape = self._normalized(x)
+        S, N = self.score_model.score(z), self.tangent_network(z)
+        return self.composition.value(S, N).reshape(shape)
+
+    def value_and_jacobian(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Returns m(x), and J[..., i, j] = dm_i/dx_j of shape (d, d) or (n, d, d)."""
+        z, shape = self._normalized(x)
+        m, J = self._value_and_jacobian(z)
+        return m.reshape(shape), J.reshape(*shape, self.dim) / self.cloud.unit_length
+
+    def hessian(self, x: FloatArray) -> FloatArray:
+        """Returns H[..., i, j, k] = d^2 m_i / dx_j dx_k, shape (d, d, d) or (n, d, d, d).
+
+        By a complex step through the exact Jacobian (Squire and Trapp, SIAM Review 1998):
+        exact to rounding, since every part of the field is analytic.
+        """
+        z, shape = self._normalized(x)
+        steps = COMPLEX_STEP * 1j * np.eye(self.dim)
+        columns = [self._value_and_jacobian(z + step)[1].imag for step in steps]
+        H = np.stack(columns, axis=-1) / COMPLEX_STEP
+        return H.reshape(*shape, self.dim, self.dim) / self.cloud.unit_length**2
+
+    def score(self, x: FloatArray) -> FloatArray:
+        """Returns the raw score S ~ grad log p at t = 1, per unit of length."""
+        z, shape = self._normalized(x)
+        return self.score_model.score(z).reshape(shape) / self.cloud.unit_length
+
+    def tangent(self, x: FloatArray) -> FloatArray:
+        """Returns the tangent field v, no unit."""
+        z, shape = self._normalized(x)
+        return self.composition.tangent(self.tangent_network(z)).reshape(shape)
+
+    def rescaled(self, factor: float) -> "GuidingField":
+        """Returns the same field in another unit: positions are multiplied by `factor`.
+
+        Raises:
+            ConfigurationError: The factor is not a positive number.
+        """
+        if not (np.isfinite(factor) and factor > 0):
+            raise ConfigurationError(f"the scale must be a positive number, not {factor}")
+        return replace(self, cloud=PointCloud(self.cloud.points * factor))
+
+    @property
+    def approach_length(self) -> float:
+        """The distance sigma^2 / k_s over which m turns from approaching to following.
+
+        In the user's unit: at a small distance r from the path, the part of m that points
+        to it is r / approach_length.
+        """
+        return self.sigma**2 / self.composition.gain * self.cloud.unit_length
+
+    def with_approach_length(self, length: float) -> "GuidingField":
+        """Returns the field that turns to the path over another distance.
+
+        A vehicle at speed v sees the path as a rate v / approach_length, which has to stay
+        below its own bandwidth.
+
+        Raises:
+            ConfigurationError: The length is not a positive number.
+        """
+        if not (np.isfinite(length) and length > 0):
+            raise ConfigurationError(f"the length must be a positive number, not {length}")
+        gain = self.sigma**2 * self.cloud.unit_length / length
+        return replace(self, composition=replace(self.composition, gain=gain))
+
+    def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:
+        """Writes the field as one safetensors file; see `storage.save_field`."""
+        from sgvf_drake.fields.storage import save_field
+
+        save_field(self, path, overwrite=overwrite)
+
+    def _value_and_jacobian(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        S, dS = self.score_model.score_and_jacobian(z)
+        N, dN = self.tangent_network.value_and_jacobian(z)
+        m, by_score, by_tangent = self.composition.value_and_partials(S, N)
+        return m, by_score @ dS + by_tangent @ dN
+
+    def _normalized(self, x: FloatArray) -> tuple[FloatArray, tuple[int, ...]]:
+        x = np.asarray(x, dtype=np.float64)
+        if x.ndim not in (1, 2) or x.shape[-1] != self.dim:
+            raise ValueError(
+                f"expected positions of shape ({self.dim},) or (n, {self.dim}), not {x.shape}"
+            )
+        return self.cloud.normalize(np.atleast_2d(x)), x.shape

@@ -1,0 +1,183 @@
+"""Fields on disk: one safetensors file, read without pickle and without torch.
+
+The tensors are the weights and the waypoints; the header holds one JSON document with the
+recipe, the seed, the noise level, the normalisation, the composition and the digest of the
+cloud.  A file whose parts do not agree is refused.
+"""
+
+from collections.abc import Mapping
+import json
+import os
+from pathlib import Path
+import tempfile
+from typing import Any
+
+import numpy as np
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
+
+from sgvf_drake.exceptions import FieldFileError, OutputExistsError
+from sgvf_drake.fields.base import FloatArray
+from sgvf_drake.fields.composition import Composition, PaperComposition, RobustComposition
+from sgvf_drake.fields.guiding import GuidingField, ScoreNetwork
+from sgvf_drake.fields.mixture import GaussianMixture
+from sgvf_drake.fields.perceptron import FourierFeatures, Perceptron
+from sgvf_drake.paths import PointCloud
+
+FORMAT = "sgvf_drake.field"
+VERSION = 1
+POINTS_KEY = "cloud.points"
+
+Tensors = dict[str, FloatArray]
+
+
+def save_field(
+    field: GuidingField, path: str | os.PathLike[str], *, overwrite: bool = False
+) -> None:
+    """Writes `field` to `path`, whole or not at all.
+
+    Raises:
+        OutputExistsError: The file exists and `overwrite` is false.
+        OSError: The folder does not exist or cannot be written.
+    """
+    path = Path(path)
+    if path.exists() and not overwrite:
+        raise OutputExistsError(f"{path} exists; pass overwrite=True to replace it")
+    tensors = {POINTS_KEY: field.cloud.points, **_pack("tangent", field.tangent_network)}
+    if isinstance(field.score_model, ScoreNetwork):
+        tensors |= _pack("score", field.score_model.network)
+    contiguous = {key: np.ascontiguousarray(value) for key, value in tensors.items()}
+    data = save(contiguous, {"format": FORMAT, "field": json.dumps(_header(field))})
+    # In the folder of the target, so that the last step is an atomic rename.
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(data)
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except BaseException:
+        os.unlink(temporary)
+        raise
+
+
+def load_field(path: str | os.PathLike[str]) -> GuidingField:
+    """Reads a field that `GuidingField.save` wrote.
+
+    Args:
+        path: The file.
+
+    Raises:
+        FieldFileError: The file is missing, damaged, foreign or of another version.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FieldFileError(f"{path}: no such file")
+    try:
+        with safe_open(path, framework="numpy") as file:
+            metadata = file.metadata() or {}
+            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+    except SafetensorError as error:
+        raise FieldFileError(f"{path}: not a whole safetensors file ({error})") from None
+    if metadata.get("format") != FORMAT:
+        raise FieldFileError(f"{path}: a safetensors file, but not a field of sgvf_drake")
+    try:
+        return _field(json.loads(metadata["field"]), tensors)
+    except KeyError as error:
+        raise FieldFileError(f"{path}: {error.args[0]} is missing") from None
+    except (ValueError, TypeError) as error:
+        raise FieldFileError(f"{path}: {error}") from None
+
+
+def _header(field: GuidingField) -> dict[str, Any]:
+    score = field.score_model
+    composition = field.composition
+    return {
+        "version": VERSION,
+        "recipe": field.recipe,
+        "seed": field.seed,
+        "sigma": field.sigma,
+        "composition": "robust" if isinstance(composition, RobustComposition) else "paper",
+        "gain": composition.gain,
+        "score_scale": score.scale if isinstance(score, ScoreNetwork) else None,
+        "shape": field.cloud.shape,
+        "digest": field.cloud.digest,
+        "center": field.cloud.center.tolist(),
+        "unit_length": field.cloud.unit_length,
+        "provenance": dict(field.provenance),
+    }
+
+
+def _field(header: Mapping[str, Any], tensors: Tensors) -> GuidingField:
+    if header["version"] != VERSION:
+        raise ValueError(f"version {header['version']} of the format; this reads {VERSION}")
+    for key, tensor in tensors.items():
+        if tensor.dtype != np.float64 or not np.isfinite(tensor).all():
+            raise ValueError(f"tensor {key} is not all finite float64")
+    cloud = PointCloud(tensors[POINTS_KEY], header["shape"])
+    if cloud.digest != header["digest"]:
+        raise ValueError("the waypoints are not those of the header's digest")
+    sigma = float(header["sigma"])
+    return GuidingField(
+        cloud=cloud,
+        sigma=sigma,
+        score_model=_score_model(header, tensors, cloud, sigma),
+        tangent_network=_unpack("tangent", tensors, cloud.dim, cloud.dim),
+        composition=_composition(header, sigma),
+        recipe=header["recipe"],
+        seed=header["seed"],
+        provenance=header["provenance"],
+    )
+
+
+def _composition(header: Mapping[str, Any], sigma: float) -> Composition:
+    match header["composition"]:
+        case "robust":
+            return RobustComposition(float(header["gain"]), sigma)
+        case "paper":
+            return PaperComposition(float(header["gain"]))
+        case other:
+            raise ValueError(f"unknown composition {other!r}")
+
+
+def _score_model(
+    header: Mapping[str, Any], tensors: Tensors, cloud: PointCloud, sigma: float
+) -> ScoreNetwork | GaussianMixture:
+    if header["score_scale"] is None:
+        return GaussianMixture(cloud.normalize(cloud.points), sigma)
+    network = _unpack("score", tensors, cloud.dim + 1, cloud.dim)
+    return ScoreNetwork(network, float(header["score_scale"]))
+
+
+def _pack(prefix: str, network: Perceptron) -> Tensors:
+    tensors = {}
+    if network.features is not None:
+        tensors[f"{prefix}.frequencies"] = network.features.frequencies
+        tensors[f"{prefix}.phases"] = network.features.phases
+    for layer, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
+        tensors[f"{prefix}.{layer}.weight"] = weight
+        tensors[f"{prefix}.{layer}.bias"] = bias
+    return tensors
+
+
+def _unpack(prefix: str, tensors: Tensors, inputs: int, outputs: int) -> Perceptron:
+    layers = sum(key.startswith(f"{prefix}.") for key in tensors if key.endswith(".weight"))
+    weights = tuple(tensors[f"{prefix}.{layer}.weight"] for layer in range(max(layers, 1)))
+    biases = tuple(tensors[f"{prefix}.{layer}.bias"] for layer in range(max(layers, 1)))
+    features = None
+    widths = [inputs]
+    if f"{prefix}.frequencies" in tensors:
+        frequencies = tensors[f"{prefix}.frequencies"]
+        features = FourierFeatures(frequencies, tensors[f"{prefix}.phases"])
+        _check_shape(f"{prefix}.frequencies", frequencies, (len(frequencies), inputs))
+        _check_shape(f"{prefix}.phases", features.phases, (len(frequencies),))
+        widths = [2 * len(frequencies)]
+    widths += [len(weight) for weight in weights[:-1]] + [outputs]
+    for layer, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
+        _check_shape(f"{prefix}.{layer}.weight", weight, (widths[layer + 1], widths[layer]))
+        _check_shape(f"{prefix}.{layer}.bias", bias, (widths[layer + 1],))
+    return Perceptron(weights, biases, features)
+
+
+def _check_shape(key: str, tensor: FloatArray, shape: tuple[int, ...]) -> None:
+    if tensor.shape != shape:
+        raise ValueError(f"tensor {key} has shape {tensor.shape}, expected {shape}")

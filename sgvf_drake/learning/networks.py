@@ -1,0 +1,78 @@
+"""The networks that are trained: SiLU perceptrons, with or without Fourier features."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from sgvf_drake.fields import FourierFeatures, Perceptron
+
+# Standard deviation of the random frequencies (Tancik et al. 2020), for inputs that were
+# brought to about [-2, 2] and [-1, 1]: x / POSITION_SCALE and 2 t - 1.
+FREQUENCY_STD = 2.0
+POSITION_SCALE = 2.5
+
+
+class Network(nn.Module):
+    """A SiLU perceptron z -> outputs; the torch twin of `fields.Perceptron`.
+
+    Args:
+        num_inputs: Number of inputs; time, where there is one, is the last.
+        hidden: Widths of the hidden layers.
+        num_outputs: Number of outputs.
+        num_frequencies: Random Fourier features seen by the first layer; 0: z itself.
+        has_time: Whether the last input is a diffusion time in [0, 1].
+    """
+
+    frequencies: Tensor
+    phases: Tensor
+
+    def __init__(
+        self,
+        num_inputs: int,
+        hidden: Sequence[int],
+        num_outputs: int,
+        num_frequencies: int = 0,
+        has_time: bool = False,
+    ) -> None:
+        super().__init__()
+        self.has_features = num_frequencies > 0
+        # 2 t - 1 is an affine input: its slope goes to Omega, its offset to the phase.
+        scale = torch.full((num_inputs,), 1 / POSITION_SCALE)
+        offset = torch.zeros(num_inputs)
+        if has_time:
+            scale[-1], offset[-1] = 2.0, -1.0
+        draw = FREQUENCY_STD * torch.randn(num_frequencies, num_inputs)
+        self.register_buffer("frequencies", draw * scale)
+        self.register_buffer("phases", draw @ offset)
+        first = 2 * num_frequencies if self.has_features else num_inputs
+        widths = [first, *hidden, num_outputs]
+        self.layers = nn.ModuleList(
+            nn.Linear(a, b) for a, b in zip(widths[:-1], widths[1:], strict=True)
+        )
+
+    def forward(self, z: Tensor) -> Tensor:
+        """Evaluates the network: (n, inputs) -> (n, outputs)."""
+        if self.has_features:
+            angles = torch.addmm(self.phases, z, self.frequencies.T)
+            z = torch.cat([angles.sin(), angles.cos()], dim=1)
+        for layer in self.layers[:-1]:
+            z = nn.functional.silu(layer(z))
+        return self.layers[-1](z)
+
+    def to_perceptron(self) -> Perceptron:
+        """Returns the same function in NumPy float64."""
+        features = None
+        if self.has_features:
+            features = FourierFeatures(_numpy(self.frequencies), _numpy(self.phases))
+        layers = [layer for layer in self.layers if isinstance(layer, nn.Linear)]
+        return Perceptron(
+            weights=tuple(_numpy(layer.weight) for layer in layers),
+            biases=tuple(_numpy(layer.bias) for layer in layers),
+            features=features,
+        )
+
+
+def _numpy(tensor: Tensor) -> np.ndarray:
+    return tensor.detach().double().numpy().copy()

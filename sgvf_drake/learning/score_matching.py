@@ -1,0 +1,81 @@
+"""Learning the score of the cloud by denoising score matching (paper, Algorithm 1)."""
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from sgvf_drake.learning.networks import Network
+from sgvf_drake.learning.schedule import NoiseSchedule
+
+# Norm of q = sigma S at which `compress` bends from linear to constant.
+COMPRESSION_RADIUS = 3.0
+# Shares of a robust batch: at t = 1 instead of uniform t, and uniform in the box instead of
+# around a waypoint.
+DATA_END_SHARE = 0.5
+BOX_SHARE = 0.3
+# Half-size of the box of the normalised cloud, 1.25 half-extents of 4.
+BOX_HALF_SIZE = 5.0
+
+Losses = Callable[[], dict[str, Tensor]]
+
+
+def mixture_score(x: Tensor, sigma: Tensor | float, points: Tensor) -> Tensor:
+    """Returns the exact score (sum_i w_i x_i - x) / sigma^2 of the noised waypoints.
+
+    It is the conditional mean of Algorithm 1's target -eps / sigma over all waypoints that
+    may have led to x, so it has the same minimiser without that target's noise.
+
+    Args:
+        x: Positions, (n, d).
+        sigma: Noise levels, (n, 1) or one number.
+        points: The waypoints, (N, d).
+    """
+    squares = torch.cdist(x, points, compute_mode="donot_use_mm_for_euclid_dist") ** 2
+    weights = torch.softmax(-0.5 * squares / sigma**2, dim=1)
+    return (weights @ points - x) / sigma**2
+
+
+def compress(q: Tensor) -> Tensor:
+    """Returns rho(q) = q / sqrt(1 + |q|^2/9): bounded where the score is huge, smooth."""
+    return q / torch.sqrt(1 + q.square().sum(dim=1, keepdim=True) / COMPRESSION_RADIUS**2)
+
+
+def paper_score_loss(
+    network: Network, points: Tensor, schedule: NoiseSchedule, batch_size: int
+) -> Losses:
+    """Algorithm 1 to the letter: the network's output is S, its target -eps / sigma(t)."""
+
+    def losses() -> dict[str, Tensor]:
+        z = points[torch.randint(len(points), (batch_size,))]
+        t = torch.rand(batch_size, 1)
+        noise = torch.randn_like(z)
+        sigma = schedule(t)
+        output = network(torch.cat([z + sigma * noise, t], dim=1))
+        return {"score": (output + noise / sigma).square().sum(dim=1).mean()}
+
+    return losses
+
+
+def robust_score_loss(
+    network: Network, points: Tensor, schedule: NoiseSchedule, batch_size: int
+) -> Losses:
+    """Matches compress(q) with the exact q = sigma S, around the path and in the box."""
+    at_end = round(DATA_END_SHARE * batch_size)
+    in_box = round(BOX_SHARE * batch_size)
+
+    def losses() -> dict[str, Tensor]:
+        t = torch.rand(batch_size, 1)
+        x = points[torch.randint(len(points), (batch_size,))]
+        x = x + schedule(t) * torch.randn_like(x)
+        # Where x lies and when it is asked are drawn apart: t = 1 sees the whole box too.
+        box = torch.randperm(batch_size)[:in_box]
+        x[box] = BOX_HALF_SIZE * (2 * torch.rand(in_box, x.shape[1]) - 1)
+        t[torch.randperm(batch_size)[:at_end]] = 1.0
+        sigma = schedule(t)
+        target = sigma * mixture_score(x, sigma, points)
+        output = network(torch.cat([x, t], dim=1))
+        error = compress(output) - compress(target)
+        return {"score": error.square().sum(dim=1).mean()}
+
+    return losses

@@ -1,0 +1,256 @@
+"""From a cloud of waypoints to a trained guiding field."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+import time
+
+import numpy as np
+import pandas as pd
+import torch
+from torch import Tensor
+
+from sgvf_drake.fields import (
+    Composition,
+    FloatArray,
+    GaussianMixture,
+    GuidingField,
+    PaperComposition,
+    RobustComposition,
+    ScoreNetwork,
+)
+from sgvf_drake.learning.config import TrainingConfig
+from sgvf_drake.learning.networks import Network
+from sgvf_drake.learning.optimization import Optimization, optimize
+from sgvf_drake.learning.orientation import orientation_hint
+from sgvf_drake.learning.scales import cloud_scales
+from sgvf_drake.learning.schedule import NoiseSchedule
+from sgvf_drake.learning.score_matching import (
+    mixture_score,
+    paper_score_loss,
+    robust_score_loss,
+)
+from sgvf_drake.learning.self_check import SelfCheck, check_field
+from sgvf_drake.learning.tangent import Score, paper_tangent_loss, robust_tangent_loss
+from sgvf_drake.paths import PointCloud, TracedPiece, trace_pieces
+from sgvf_drake.progress import Progress, no_progress
+
+# Paper, Section V-A, and its noise level at the data end.
+PAPER_BATCH_SIZE = 512
+PAPER_LEARNING_RATE = 1e-3
+PAPER_SIGMA_MIN = 0.1
+
+ROBUST_BATCH_SIZE = 256
+ROBUST_SCORE_LEARNING_RATE = 1e-2
+ROBUST_TANGENT_LEARNING_RATE = 5e-3
+ROBUST_WARMUP = 50
+ROBUST_FREQUENCIES = 32
+# k_s of the robust composition, in noise levels; the paper's 0.2 at its sigma of 0.1.
+ROBUST_GAIN_PER_SIGMA = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingResult:
+    """A trained field and how it came about.
+
+    Attributes:
+        field: The field of the last attempt; check `self_check.passed`.
+        config: The configuration with every value filled in.
+        self_check: What following the field from the path itself showed.
+        restarts: How many attempts failed their self-check before this one.
+        history: Loss terms: columns stage, iteration, one a term, total.
+        cpu_s: Processor time of all attempts, seconds.
+        wall_s: Elapsed time of all attempts, seconds.
+    """
+
+    field: GuidingField
+    config: TrainingConfig
+    self_check: SelfCheck
+    restarts: int
+    history: pd.DataFrame
+    cpu_s: float
+    wall_s: float
+
+
+def train(
+    cloud: PointCloud,
+    config: TrainingConfig | None = None,
+    progress: Progress = no_progress,
+) -> TrainingResult:
+    """Trains a guiding field for a cloud of waypoints.
+
+    After training, the field is followed from the path of every piece; where it does not
+    complete a lap, training starts again with another seed, at most
+    ``config.max_restarts`` times.  A field that fails to the end is returned all the same,
+    with ``self_check.passed`` false.
+
+    Args:
+        cloud: The waypoints, in any order and any unit.
+        config: The recipe and its overrides; None: the robust recipe, seed 0.
+        progress: Called with (stage, done, total) now and then.
+    """
+    config = (config or TrainingConfig()).resolved()
+    assert config.max_restarts is not None
+    wall, cpu = time.perf_counter(), time.process_time()
+    points = cloud.normalize(cloud.points)
+    pieces = trace_pieces(points)
+    for attempt in range(config.max_restarts + 1):
+        with _torch_session(config.seed, attempt):
+            field, history = _train_once(cloud, points, pieces, config, progress)
+        self_check = check_field(field)
+        if self_check.passed:
+            break
+    return TrainingResult(
+        field=field,
+        config=config,
+        self_check=self_check,
+        restarts=attempt,
+        history=history,
+        cpu_s=time.process_time() - cpu,
+        wall_s=time.perf_counter() - wall,
+    )
+
+
+def _train_once(
+    cloud: PointCloud,
+    points: FloatArray,
+    pieces: tuple[TracedPiece, ...],
+    config: TrainingConfig,
+    progress: Progress,
+) -> tuple[GuidingField, pd.DataFrame]:
+    fit = _fit_paper if config.recipe == "paper" else _fit_robust
+    parts = fit(points, pieces, config, progress)
+    field = GuidingField(
+        cloud=cloud,
+        sigma=parts.sigma,
+        score_model=parts.score_model,
+        tangent_network=parts.tangent.to_perceptron(),
+        composition=parts.composition,
+        recipe=config.recipe,
+        seed=config.seed,
+        provenance={"training": config.to_json()},
+    )
+    return field, pd.concat(parts.histories, ignore_index=True)
+
+
+@dataclass(frozen=True, eq=False)
+class _Parts:
+    """What an attempt leaves behind."""
+
+    sigma: float
+    score_model: ScoreNetwork | GaussianMixture
+    tangent: Network
+    composition: Composition
+    histories: list[pd.DataFrame]
+
+
+def _fit_paper(
+    points: FloatArray,
+    pieces: tuple[TracedPiece, ...],
+    config: TrainingConfig,
+    progress: Progress,
+) -> _Parts:
+    """Algorithms 1 and 2 to the letter; the spanning tree is not asked."""
+    assert config.score_hidden and config.tangent_hidden and config.gain
+    assert config.score_iterations and config.tangent_iterations
+    dim = points.shape[1]
+    data = torch.as_tensor(points, dtype=torch.float32)
+    sigma = config.sigma_min or PAPER_SIGMA_MIN
+    schedule = NoiseSchedule(sigma)
+    batch, rate = PAPER_BATCH_SIZE, PAPER_LEARNING_RATE
+
+    score = Network(dim + 1, config.score_hidden, dim)
+    losses = paper_score_loss(score, data, schedule, batch)
+    settings = Optimization(config.score_iterations, rate, batch)
+    score_history = optimize(score, losses, settings, "score", progress)
+
+    tangent = Network(dim, config.tangent_hidden, dim)
+    frozen = _score_at_data_end(score, scale=1.0)
+    losses = paper_tangent_loss(tangent, frozen, data, schedule, config.gain, batch)
+    settings = Optimization(config.tangent_iterations, rate, batch)
+    tangent_history = optimize(tangent, losses, settings, "tangent", progress)
+    return _Parts(
+        sigma=sigma,
+        score_model=ScoreNetwork(score.to_perceptron(), 1.0),
+        tangent=tangent,
+        composition=PaperComposition(config.gain),
+        histories=[score_history, tangent_history],
+    )
+
+
+def _fit_robust(
+    points: FloatArray,
+    pieces: tuple[TracedPiece, ...],
+    config: TrainingConfig,
+    progress: Progress,
+) -> _Parts:
+    """The robust recipe, and the exact one: the same tangent on the closed-form score."""
+    assert config.tangent_hidden and config.tangent_iterations
+    dim = points.shape[1]
+    data = torch.as_tensor(points, dtype=torch.float32)
+    sigma = config.sigma_min or cloud_scales(points, pieces).sigma_min
+    gain = config.gain or ROBUST_GAIN_PER_SIGMA * sigma
+    histories = []
+    score_model: ScoreNetwork | GaussianMixture
+    if config.recipe == "exact":
+        score_model = GaussianMixture(points, sigma)
+        frozen: Score = lambda x: mixture_score(x, sigma, data)  # noqa: E731
+    else:
+        network, history = _fit_robust_score(data, sigma, config, progress)
+        score_model = ScoreNetwork(network.to_perceptron(), sigma)
+        frozen = _score_at_data_end(network, scale=sigma)
+        histories.append(history)
+
+    hint = torch.as_tensor(orientation_hint(points, pieces, sigma), dtype=torch.float32)
+    tangent = Network(dim, config.tangent_hidden, dim, ROBUST_FREQUENCIES)
+    losses = robust_tangent_loss(tangent, frozen, data, hint, ROBUST_BATCH_SIZE)
+    settings = Optimization(
+        config.tangent_iterations,
+        ROBUST_TANGENT_LEARNING_RATE,
+        ROBUST_BATCH_SIZE,
+        ROBUST_WARMUP,
+        cosine=True,
+    )
+    histories.append(optimize(tangent, losses, settings, "tangent", progress))
+    return _Parts(sigma, score_model, tangent, RobustComposition(gain, sigma), histories)
+
+
+def _fit_robust_score(
+    data: Tensor, sigma: float, config: TrainingConfig, progress: Progress
+) -> tuple[Network, pd.DataFrame]:
+    assert config.score_hidden and config.score_iterations
+    dim = data.shape[1]
+    network = Network(dim + 1, config.score_hidden, dim, ROBUST_FREQUENCIES, has_time=True)
+    losses = robust_score_loss(network, data, NoiseSchedule(sigma), ROBUST_BATCH_SIZE)
+    settings = Optimization(
+        config.score_iterations,
+        ROBUST_SCORE_LEARNING_RATE,
+        ROBUST_BATCH_SIZE,
+        ROBUST_WARMUP,
+        cosine=True,
+    )
+    return network, optimize(network, losses, settings, "score", progress)
+
+
+def _score_at_data_end(network: Network, scale: float) -> Score:
+    def score(x: Tensor) -> Tensor:
+        with torch.no_grad():
+            return network(torch.cat([x, torch.ones(len(x), 1)], dim=1)) / scale
+
+    return score
+
+
+@contextmanager
+def _torch_session(seed: int, attempt: int) -> Iterator[None]:
+    """Seeds torch for one attempt on one thread, and leaves its global state as it was.
+
+    One thread: networks this small are no faster on two, and sums stay in one order.
+    """
+    threads = torch.get_num_threads()
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(int(np.random.SeedSequence([seed, attempt]).generate_state(1)[0]))
+        torch.set_num_threads(1)
+        try:
+            yield
+        finally:
+            torch.set_num_threads(threads)

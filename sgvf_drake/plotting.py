@@ -1,0 +1,149 @@
+"""Pictures: every function draws given data into given axes and returns the artists.
+
+Nothing here computes results; the data come from the experiments.
+"""
+
+from collections.abc import Iterable, Sequence
+
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+import numpy as np
+import pandas as pd
+
+from sgvf_drake.fields import Field, FloatArray
+
+# Okabe and Ito's palette, told apart by colour-blind readers too.
+BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
+GREY = "#808080"
+STREAM_RESOLUTION = 60
+MAX_TRAJECTORIES = 60
+# The smallest cross-track error that is drawn, relative to the largest.
+ERROR_FLOOR = 1e-4
+# File size and sharpness of every saved figure.
+DPI = 150
+
+
+def new_figure(rows: int, columns: int, width: float, height: float) -> tuple[Figure, list[Axes]]:
+    """Returns a figure outside pyplot's global state, and its axes row by row.
+
+    Args:
+        rows: Number of rows.
+        columns: Number of columns.
+        width: Width in inches.
+        height: Height in inches.
+    """
+    figure = Figure(figsize=(width, height), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False)
+    return figure, list(axes.flat)
+
+
+def plane_axes(axes: Axes, unit: str = "", title: str = "") -> None:
+    """Labels the axes of a plane and makes its aspect equal."""
+    suffix = f" [{unit}]" if unit else ""
+    axes.set(xlabel=f"x{suffix}", ylabel=f"y{suffix}", title=title, aspect="equal")
+
+
+def plot_field(axes: Axes, field: Field, box: tuple[FloatArray, FloatArray]) -> Sequence[Artist]:
+    """Draws the stream lines of a planar field over a box."""
+    lower, upper = box
+    x = np.linspace(lower[0], upper[0], STREAM_RESOLUTION)
+    y = np.linspace(lower[1], upper[1], STREAM_RESOLUTION)
+    grid = np.stack(np.meshgrid(x, y), axis=-1)
+    m = field(grid.reshape(-1, 2)).reshape(grid.shape)
+    lines = axes.streamplot(
+        x, y, m[..., 0], m[..., 1], color="#9fb0bb", density=1.6, linewidth=0.6, arrowsize=0.7
+    )
+    axes.set(xlim=(lower[0], upper[0]), ylim=(lower[1], upper[1]))
+    return [lines.lines]
+
+
+def plot_waypoints(axes: Axes, points: FloatArray) -> Sequence[Artist]:
+    """Draws waypoints (N, d), first two coordinates."""
+    return axes.plot(
+        points[:, 0], points[:, 1], ".", color="black", markersize=2.5, label="waypoints"
+    )
+
+
+def plot_trajectories(
+    axes: Axes, positions: FloatArray, followed: Iterable[bool] | None = None
+) -> Sequence[Artist]:
+    """Draws trajectories (T, n, d), those that do not follow the path in another colour.
+
+    Of many, an even selection is drawn, but every one that fails.
+    """
+    good = np.ones(positions.shape[1], bool) if followed is None else np.array(list(followed))
+    shown = np.flatnonzero(good)
+    if len(shown) > MAX_TRAJECTORIES:
+        shown = shown[np.linspace(0, len(shown) - 1, MAX_TRAJECTORIES).astype(int)]
+    artists: list[Artist] = []
+    for agents, color, label in ((shown, BLUE, "agent"), (np.flatnonzero(~good), RED, "failed")):
+        for number, agent in enumerate(agents):
+            x, y = positions[:, agent, 0], positions[:, agent, 1]
+            artists += axes.plot(
+                x, y, color=color, linewidth=0.7, alpha=0.7, label=label if number == 0 else None
+            )
+            artists += axes.plot(x[0], y[0], "o", color=color, markersize=2.5, alpha=0.7)
+    return artists
+
+
+def plot_cross_track(
+    axes: Axes, times: FloatArray, errors: FloatArray, unit: str = "", time_unit: str = "s"
+) -> Sequence[Artist]:
+    """Draws cross-track errors (T, n) over time: one line, or the spread of many agents."""
+    # A logarithmic axis shows the way in and the steady state; what crosses the path
+    # exactly would run off it.
+    errors = np.maximum(errors, ERROR_FLOOR * max(float(errors.max()), 1e-300))
+    suffix = f" [{unit}]" if unit else ""
+    axes.set(xlabel=f"time [{time_unit}]", ylabel=f"cross-track error{suffix}", yscale="log")
+    axes.grid(alpha=0.3)
+    if errors.shape[1] == 1:
+        return axes.plot(times, errors[:, 0], color=BLUE, linewidth=0.8)
+    artists: list[Artist] = []
+    low, middle, high = np.quantile(errors, [0.05, 0.5, 0.95], axis=1)
+    artists.append(
+        axes.fill_between(times, low, high, color=BLUE, alpha=0.3, label="5 % to 95 % of agents")
+    )
+    artists += axes.plot(times, middle, color=BLUE, label="median")
+    artists += axes.plot(times, errors.max(axis=1), color=RED, linewidth=0.8, label="largest")
+    axes.legend(loc="upper right")
+    return artists
+
+
+def plot_velocity(axes: Axes, log: pd.DataFrame) -> Sequence[Artist]:
+    """Draws the planar velocity of a flight log, columns time, vx, vy (m/s)."""
+    lines = axes.plot(log["time"], log["vx"], color=BLUE, label="$v_x$")
+    lines += axes.plot(log["time"], log["vy"], color=ORANGE, label="$v_y$")
+    speed = np.hypot(log["vx"], log["vy"])
+    lines += axes.plot(log["time"], speed, color="black", linewidth=0.8, label="speed")
+    axes.set(xlabel="time [s]", ylabel="velocity [m/s]")
+    axes.legend(loc="upper right", ncols=3)
+    axes.grid(alpha=0.3)
+    return lines
+
+
+def plot_propeller_forces(axes: Axes, log: pd.DataFrame, limit: float) -> Sequence[Artist]:
+    """Draws the four propeller forces of a flight log (N) and their upper limit."""
+    lines: list[Artist] = []
+    for number, color in enumerate((BLUE, ORANGE, GREEN, RED), start=1):
+        lines += axes.plot(
+            log["time"], log[f"force_{number}"], color=color, linewidth=0.8, label=f"$f_{number}$"
+        )
+    lines.append(axes.axhline(limit, color=GREY, linestyle="--", label="limit"))
+    axes.set(xlabel="time [s]", ylabel="propeller force [N]", ylim=(0, 1.08 * limit))
+    axes.legend(loc="center right", ncols=5)
+    axes.grid(alpha=0.3)
+    return lines
+
+
+def plot_losses(axes: Axes, history: pd.DataFrame) -> Sequence[Artist]:
+    """Draws every loss term of one stage of a training history."""
+    terms = history.drop(columns=["stage", "iteration", "total"]).dropna(axis=1, how="all")
+    lines: list[Artist] = []
+    for term in terms:
+        smooth = terms[term].rolling(10, min_periods=1).mean()
+        lines += axes.plot(history["iteration"], smooth, linewidth=0.9, label=str(term))
+    axes.set(xlabel="iteration", ylabel="loss", yscale="log", title=history["stage"].iloc[0])
+    axes.legend()
+    axes.grid(alpha=0.3)
+    return lines

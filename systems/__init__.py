@@ -1,0 +1,45 @@
+"""Guiding vector fields as Drake systems, and the quadrotor that they fly.
+
+As in Drake, ``Add...(builder, ...)`` changes a builder and ``Make...`` returns something new.
+"""
+
+from systems.controller import DEFAULT_GAINS, Se3Controller, Se3Controller_
+from systems.diagrams import (
+    AddGuidance,
+    GuidanceParts,
+    MakeFlightDiagram,
+    MakeSimulator,
+    SetHover,
+    SetVehicleState,
+)
+from systems.guidance import GuidanceSystem, GuidanceSystem_
+from systems.kinematic import (
+    KinematicGuidance,
+    KinematicGuidance_,
+    MakeKinematicDiagram,
+    SetPositions,
+)
+from systems.quadrotor import QuadrotorParameters
+from systems.se3_law import Gains
+from systems.sensing import AddMotionCapture
+
+__all__ = [
+    "DEFAULT_GAINS",
+    "AddGuidance",
+    "AddMotionCapture",
+    "Gains",
+    "GuidanceParts",
+    "GuidanceSystem",
+    "GuidanceSystem_",
+    "KinematicGuidance",
+    "KinematicGuidance_",
+    "MakeFlightDiagram",
+    "MakeKinematicDiagram",
+    "MakeSimulator",
+    "QuadrotorParameters",
+    "Se3Controller",
+    "Se3Controller_",
+    "SetHover",
+    "SetPositions",
+    "SetVehicleState",
+]

@@ -1,0 +1,174 @@
+"""Agents that move exactly as the field says: the paper's single integrators."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydrake.systems.framework import (
+    BasicVector_,
+    Context,
+    Diagram,
+    DiagramBuilder,
+    LeafSystem_,
+)
+from pydrake.systems.primitives import Integrator, LogVectorOutput
+from pydrake.systems.scalar_conversion import TemplateSystem
+
+from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
+from sgvf_drake.fields.base import Field
+from systems.scalars import SCALARS, CheckFinite, CheckSpeed, EvalFieldValue, Scalar, ToList
+
+
+@TemplateSystem.define("KinematicGuidance_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
+def KinematicGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
+    class Impl(LeafSystem_[T]):
+        """Moves n agents along a guiding vector field with one call of the field.
+
+        .. pydrake_system::
+
+            name: KinematicGuidance
+            input_ports:
+            - positions
+            output_ports:
+            - velocities
+
+        `positions` (n d) holds the n positions one after the other, in the field's unit of
+        length; `velocities` (n d) holds speed m(p) for each in the same order.
+
+        The one numeric parameter (index `parameter_index`) is the speed.
+
+        Args:
+            field: The guiding field, of any dimension d.
+            num_agents: n.
+            speed: In the field's unit of length per second.
+
+        Raises:
+            ConfigurationError: if an argument cannot be used.
+            NonFiniteValueError: on evaluation, where a position or a velocity is not
+                finite; the message names the agent.
+        """
+
+        def _construct(
+            self,
+            field: Field,
+            num_agents: int = 1,
+            speed: float = 1.0,
+            converter: Any = None,
+        ) -> None:
+            LeafSystem_[T].__init__(self, converter=converter)
+            if num_agents < 1:
+                raise ConfigurationError(f"num_agents must be at least 1, got {num_agents}")
+            CheckSpeed(speed)
+            self._arguments: dict[str, Any] = {
+                "field": field,
+                "num_agents": num_agents,
+                "speed": speed,
+            }
+            self._field = field
+            # One agent is asked for as a point: a field may be faster without a batch.
+            self._shape = (field.dim,) if num_agents == 1 else (num_agents, field.dim)
+            size = num_agents * field.dim
+            self._positions = self.DeclareVectorInputPort("positions", size)
+            self.parameter_index = self.DeclareNumericParameter(BasicVector_[T]([speed]))
+            self._velocities = self.DeclareVectorOutputPort(
+                "velocities",
+                size,
+                self._CalcVelocities,
+                {self.all_input_ports_ticket(), self.all_parameters_ticket()},
+            )
+
+        def _construct_copy(self, other: Any, converter: Any = None) -> None:
+            Impl._construct(self, **other._arguments, converter=converter)
+
+        @property
+        def num_agents(self) -> int:
+            """The number of agents n."""
+            return 1 if len(self._shape) == 1 else self._shape[0]
+
+        def GetSpeed(self, context: Any) -> Scalar:
+            """Returns the speed in units of length per second."""
+            return context.get_numeric_parameter(self.parameter_index).GetAtIndex(0)
+
+        def SetSpeed(self, context: Any, speed: Scalar) -> None:
+            """Sets the speed; this system's own Context is wanted."""
+            CheckSpeed(speed)
+            context.get_mutable_numeric_parameter(self.parameter_index).SetAtIndex(0, speed)
+
+        def _CalcVelocities(self, context: Any, output: Any) -> None:
+            positions = self._positions.Eval(context).reshape(self._shape)
+            self._CheckAgents(context, "the position", positions)
+            velocities = self.GetSpeed(context) * EvalFieldValue(self._field, positions)
+            self._CheckAgents(context, "the velocity", velocities)
+            output.SetFromVector(velocities.reshape(-1))
+
+        def _CheckAgents(self, context: Any, quantity: str, values: np.ndarray) -> None:
+            floats = np.array(ToList(values)).reshape(-1, self._field.dim)
+            if np.isfinite(floats).all():
+                return
+            agent = int(np.flatnonzero(~np.isfinite(floats).all(axis=1))[0])
+            what = f"{quantity} of agent {agent}"
+            CheckFinite(self, context, what, floats[agent].tolist())
+
+    return Impl
+
+
+KinematicGuidance = KinematicGuidance_[None]
+
+
+def MakeKinematicDiagram(
+    field: Field,
+    num_agents: int = 1,
+    speed: float = 1.0,
+    log_period: float | None = None,
+) -> Diagram:
+    """Returns a diagram of n agents with dp/dt = speed m(p) (paper, equation 3).
+
+    The state and the output port `positions` (n d) hold the positions one after the other,
+    in the field's unit of length.  The systems are named "agents" (Drake's Integrator) and
+    "guidance" (`KinematicGuidance`); see `SetPositions` for the start.
+
+    Args:
+        field: The guiding field, of any dimension d.
+        num_agents: n.
+        speed: In the field's unit of length per second.
+        log_period: Of the VectorLogSink "positions_log" in s; 0 logs every step, and None
+            leaves the log out.
+
+    Raises:
+        ConfigurationError: if an argument cannot be used.
+    """
+    builder = DiagramBuilder()
+    guidance = builder.AddNamedSystem("guidance", KinematicGuidance(field, num_agents, speed))
+    agents = builder.AddNamedSystem("agents", Integrator(num_agents * field.dim))
+    builder.Connect(agents.get_output_port(), guidance.GetInputPort("positions"))
+    builder.Connect(guidance.GetOutputPort("velocities"), agents.get_input_port())
+    builder.ExportOutput(agents.get_output_port(), "positions")
+    if log_period is not None:
+        log = LogVectorOutput(agents.get_output_port(), builder, log_period)
+        log.set_name("positions_log")
+    diagram = builder.Build()
+    diagram.set_name("kinematic")
+    return diagram
+
+
+def SetPositions(diagram: Diagram, context: Context, positions: ArrayLike) -> None:
+    """Sets the positions of the agents of a kinematic diagram.
+
+    Args:
+        diagram: From `MakeKinematicDiagram`.
+        context: Of the diagram.
+        positions: Of shape (n, d), or (d,) for one agent, in the field's unit of length.
+
+    Raises:
+        ConfigurationError: if the shape is wrong.
+        NonFiniteValueError: if a position is not finite.
+    """
+    values: Any = np.asarray(positions, dtype=np.float64)
+    agents = diagram.GetSubsystemByName("agents")
+    guidance: Any = diagram.GetSubsystemByName("guidance")
+    shape = (guidance.num_agents, context.num_continuous_states() // guidance.num_agents)
+    if values.shape != shape and (shape[0] != 1 or values.shape != shape[1:]):
+        raise ConfigurationError(f"positions must have shape {shape}, got {values.shape}")
+    if not np.isfinite(values).all():
+        raise NonFiniteValueError(f"positions must be finite, got {values.tolist()}")
+    agents.GetMyMutableContextFromRoot(context).SetContinuousState(values.reshape(-1))

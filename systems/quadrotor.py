@@ -1,0 +1,163 @@
+"""The vehicle: its physical parameters, and Drake's plant made from them."""
+
+from dataclasses import dataclass
+from functools import cached_property
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.examples import QuadrotorPlant
+
+from sgvf_drake.exceptions import ConfigurationError
+
+STATE_SIZE = 12
+"""QuadrotorPlant's state: p_WB, roll-pitch-yaw, v_WB, rates of roll-pitch-yaw."""
+
+NUM_PROPELLERS = 4
+
+
+@dataclass(frozen=True)
+class QuadrotorParameters:
+    """The physical parameters of a quadrotor in SI units; by default the paper's vehicle.
+
+    The propellers stand in the "+" layout of QuadrotorPlant: 0 on the body's +x axis,
+    1 on +y, 2 on -x, 3 on -y; z points up, and propellers 0 and 2 turn against 1 and 3.
+
+    Attributes:
+        mass: In kg (paper, experiments).
+        arm_length: From the centre of mass to a motor in m; the paper's motor-to-motor
+            diagonal is 0.149 m.
+        thrust_to_weight: Greatest total thrust over the weight (paper, experiments).
+        inertia: Principal moments of inertia (I_xx, I_yy, I_zz) in kg m^2.  Not
+            published; estimated from a box body with four motors of 25 g.
+        force_constant: kF, newtons per unit of input; 1 makes the inputs newtons.
+        moment_constant: kM, newton metres of yaw torque per unit of input; with kF = 1
+            it is a length in m.
+        gravity: In m/s^2.
+
+    Raises:
+        ConfigurationError: if a value is not finite and positive, if the vehicle cannot
+            lift its weight, or if no rigid body has this inertia.
+    """
+
+    mass: float = 0.46
+    arm_length: float = 0.0745
+    thrust_to_weight: float = 4.1
+    inertia: tuple[float, float, float] = (4.5e-4, 6.0e-4, 8.5e-4)
+    force_constant: float = 1.0
+    moment_constant: float = 0.008
+    gravity: float = 9.81
+
+    def __post_init__(self) -> None:
+        for name in (
+            "mass",
+            "arm_length",
+            "thrust_to_weight",
+            "force_constant",
+            "moment_constant",
+            "gravity",
+        ):
+            _RequirePositive(name, getattr(self, name))
+        if self.thrust_to_weight <= 1.0:
+            raise ConfigurationError(
+                f"thrust_to_weight must be greater than 1 to fly, got {self.thrust_to_weight}"
+            )
+        _RequireInertia(self.inertia)
+
+    @classmethod
+    def FromPlant(
+        cls, plant: QuadrotorPlant, thrust_to_weight: float = 4.1
+    ) -> "QuadrotorParameters":
+        """Reads the parameters of a plant.
+
+        Args:
+            plant: Drake's plant, of any scalar type.
+            thrust_to_weight: The plant does not limit its inputs, so this is free.
+
+        Raises:
+            ConfigurationError: if the plant's inertia has products of inertia.
+        """
+        I_B = np.asarray(plant.inertia(), dtype=np.float64)
+        if np.any(np.diag(np.diag(I_B)) != I_B):
+            raise ConfigurationError(f"inertia must be diagonal, got {I_B.tolist()}")
+        return cls(
+            mass=plant.m(),
+            arm_length=plant.length(),
+            thrust_to_weight=thrust_to_weight,
+            inertia=(float(I_B[0, 0]), float(I_B[1, 1]), float(I_B[2, 2])),
+            force_constant=plant.force_constant(),
+            moment_constant=plant.moment_constant(),
+            gravity=plant.g(),
+        )
+
+    @cached_property
+    def weight(self) -> float:
+        """The weight in N."""
+        return self.mass * self.gravity
+
+    @cached_property
+    def max_propeller_force(self) -> float:
+        """The greatest force of one propeller in N."""
+        return self.thrust_to_weight * self.weight / NUM_PROPELLERS
+
+    @cached_property
+    def hover_force(self) -> float:
+        """The force of one propeller in hover in N."""
+        return self.weight / NUM_PROPELLERS
+
+    @cached_property
+    def max_horizontal_acceleration(self) -> float:
+        """The greatest horizontal acceleration in m/s^2 that holds the altitude."""
+        return self.gravity * math.sqrt(self.thrust_to_weight**2 - 1.0)
+
+    @cached_property
+    def yaw_arm(self) -> float:
+        """The ratio kM / kF in m: the yaw torque of a propeller per newton of its force."""
+        return self.moment_constant / self.force_constant
+
+    def MixingMatrix(self) -> NDArray[np.float64]:
+        """Returns the (4, 4) matrix from propeller forces in N to thrust and torque.
+
+        Its rows give the thrust along B's z axis in N, and the torque about B's x, y
+        and z axes in N m.
+        """
+        L, k = self.arm_length, self.yaw_arm
+        return np.array([[1, 1, 1, 1], [0, L, 0, -L], [-L, 0, L, 0], [k, -k, k, -k]])
+
+    def MakePlant(self) -> QuadrotorPlant:
+        """Returns Drake's QuadrotorPlant with these parameters.
+
+        Raises:
+            ConfigurationError: if `gravity` is not the plant's own, which is fixed.
+        """
+        I_B: Any = np.diag(self.inertia)  # Drake's stubs misname the type of arrays.
+        plant = QuadrotorPlant(
+            self.mass,
+            self.arm_length,
+            I_B,
+            self.force_constant,
+            self.moment_constant,
+        )
+        if plant.g() != self.gravity:
+            raise ConfigurationError(
+                f"gravity is {plant.g()} m/s^2 in QuadrotorPlant, got {self.gravity}"
+            )
+        return plant
+
+
+def _RequirePositive(name: str, value: float) -> None:
+    if not (math.isfinite(value) and value > 0.0):
+        raise ConfigurationError(f"{name} must be finite and positive, got {value}")
+
+
+def _RequireInertia(inertia: tuple[float, float, float]) -> None:
+    if len(inertia) != 3:
+        raise ConfigurationError(f"inertia must have 3 values, got {len(inertia)}")
+    for moment in inertia:
+        _RequirePositive("inertia", moment)
+    smallest, middle, largest = sorted(inertia)
+    if smallest + middle < largest:
+        raise ConfigurationError(
+            f"inertia {inertia} violates the triangle inequality: no rigid body has it"
+        )

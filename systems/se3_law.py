@@ -1,0 +1,308 @@
+"""The geometric control law on SE(3) of Lee, Leok and McClamroch, on plain scalars.
+
+Source: T. Lee, M. Leok, N. H. McClamroch, "Geometric tracking control of a quadrotor UAV
+on SE(3)", IEEE Conference on Decision and Control, 2010: its attitude error, thrust and torque,
+for a commanded velocity and acceleration in place of a trajectory.
+
+The functions work on scalars instead of arrays because arrays of length three cost ten
+times more than floats, and a controller runs thousands of times a second.  They are
+generic: `xp` is `math` for float and `pydrake.math` for AutoDiffXd.  Square roots are taken
+only of values that cannot be zero, where their derivative would be infinite.
+
+Notation: W is the world frame, z up; B the body frame, D the desired body frame.  A
+rotation is the tuple of its columns, so R_WB = (bx_W, by_W, bz_W).
+"""
+
+from collections.abc import Sequence
+import math
+from typing import Any, NamedTuple
+
+from systems.quadrotor import NUM_PROPELLERS, QuadrotorParameters
+from systems.scalars import Scalar
+
+Vector3 = tuple[Scalar, Scalar, Scalar]
+Rotation = tuple[Vector3, Vector3, Vector3]
+
+MAX_TILT = math.radians(70.0)
+"""Greatest tilt of the demanded thrust, rad.  Roll-pitch-yaw is singular at 90 degrees."""
+
+_MAX_SLOPE = math.tan(MAX_TILT)
+
+MIN_LIFT = 0.1
+"""Least vertical part of the demanded thrust over the weight: never upside down."""
+
+LIFT_SHARE = 0.75
+"""Share of the thrust beyond the weight that the vertical demand alone may take.
+
+Less than `THRUST_SHARE`, so that some is always left to accelerate sideways.
+"""
+
+THRUST_SHARE = 0.9
+"""Share of the thrust beyond the weight that may be demanded; torques need the rest."""
+
+MAX_DESIRED_RATE = 10.0
+"""Greatest angular velocity of the desired attitude, rad/s."""
+
+MAX_DESIRED_ANGULAR_ACCELERATION = 100.0
+"""Greatest angular acceleration of the desired attitude, rad/s^2."""
+
+SLOW_SPEED = 0.05
+"""Below about this speed, m/s, the direction of travel is not known well enough to turn."""
+
+
+class Gains(NamedTuple):
+    """The gains of the law.
+
+    Attributes:
+        velocity_gain: From velocity error to acceleration, 1/s.
+        attitude_bandwidth: Natural frequency wn of the attitude loop, rad/s.
+        damping_ratio: Damping ratio of the attitude loop.
+        heading: Desired yaw angle, rad.
+    """
+
+    velocity_gain: Scalar
+    attitude_bandwidth: Scalar
+    damping_ratio: Scalar
+    heading: Scalar
+
+
+def CalcThrustAndTorque(
+    xp: Any,
+    parameters: QuadrotorParameters,
+    gains: Gains,
+    state: Sequence[Scalar],
+    velocity_command: Sequence[Scalar],
+    acceleration_feedforward: Sequence[Scalar],
+) -> tuple[Scalar, Vector3]:
+    """Returns the thrust along B's z axis in N and the torque about B's axes in N m.
+
+    The demanded acceleration is a_ff + k_v (v_cmd - v); its thrust vector sets the desired
+    attitude at a fixed heading, and the torque tracks that attitude.
+
+    Args:
+        xp: The namespace of the scalar functions.
+        parameters: The vehicle.
+        gains: The gains.
+        state: p_WB, roll-pitch-yaw, v_WB and rates of roll-pitch-yaw; SI units.
+        velocity_command: v_cmd in W, m/s.
+        acceleration_feedforward: a_ff in W, m/s^2.
+    """
+    vx, vy, vz = state[6:9]
+    ax, ay, az = acceleration_feedforward
+    ux, uy, uz = velocity_command
+    m, k_v = parameters.mass, gains.velocity_gain
+    F_W = LimitThrust(
+        xp,
+        parameters,
+        (
+            m * (ax + k_v * (ux - vx)),
+            m * (ay + k_v * (uy - vy)),
+            m * (az + k_v * (uz - vz) + parameters.gravity),
+        ),
+    )
+    w_path = CalcTurnRate((vx, vy, vz), (ax, ay, az))
+    # The demand turns with the path; the error k_v (v_cmd - v) is small or short.
+    F_dot_W = Cross(w_path, (m * ax, m * ay, m * az))
+    F_ddot_W = Cross(w_path, F_dot_W)
+    desired = CalcDesiredAttitude(xp, F_W, F_dot_W, F_ddot_W, gains.heading)
+    R_WB, w_WB_B = CalcAttitude(xp, state[3:6], state[9:12])
+    torque = CalcTorque(parameters, gains, R_WB, w_WB_B, *desired)
+    return Dot(F_W, R_WB[2]), torque
+
+
+def LimitThrust(xp: Any, parameters: QuadrotorParameters, F_W: Vector3) -> Vector3:
+    """Returns the thrust vector nearest in kind to F_W that the vehicle can point and give.
+
+    The vertical part is kept first, so that a hard turn does not cost altitude; the
+    horizontal part is then scaled down to `MAX_TILT` and to the available thrust.
+
+    Args:
+        xp: The namespace of the scalar functions.
+        parameters: The vehicle.
+        F_W: The demanded thrust vector in N, in W.
+    """
+    x, y, z = F_W
+    weight = parameters.weight
+    spare = NUM_PROPELLERS * parameters.max_propeller_force - weight
+    z = min(max(z, MIN_LIFT * weight), weight + LIFT_SHARE * spare)
+    largest = weight + THRUST_SHARE * spare
+    limit = min((_MAX_SLOPE * z) ** 2, largest * largest - z * z)
+    horizontal = x * x + y * y
+    if horizontal > limit:
+        scale = xp.sqrt(limit / horizontal)
+        x, y = x * scale, y * scale
+    return x, y, z
+
+
+def CalcTurnRate(v_W: Vector3, a_W: Vector3) -> Vector3:
+    """Returns the angular velocity at which the velocity turns, (v x a) / |v|^2, in rad/s.
+
+    On a path of constant curvature, at constant speed, all derivatives of the velocity
+    turn with it, so that this gives the rates of the acceleration feed-forward without
+    higher derivatives of the field.  Elsewhere the change of curvature is left out.
+
+    Args:
+        v_W: The vehicle's velocity in W, m/s.
+        a_W: The acceleration feed-forward in W, m/s^2.
+    """
+    scale = 1.0 / (Dot(v_W, v_W) + SLOW_SPEED**2)
+    x, y, z = Cross(v_W, a_W)
+    return x * scale, y * scale, z * scale
+
+
+def CalcDesiredAttitude(
+    xp: Any, F_W: Vector3, F_dot_W: Vector3, F_ddot_W: Vector3, heading: Scalar
+) -> tuple[Rotation, Vector3, Vector3]:
+    """Returns the desired attitude R_WD with its angular velocity and acceleration.
+
+    D's z axis is along the thrust vector and its x axis is as near as possible to the
+    heading (Lee et al. 2010).  The angular velocity in rad/s is that of
+    this very construction at a fixed heading.  Its rate in rad/s^2 leaves out the part
+    along D's z axis, which does not move the thrust.  Both are expressed in W and limited.
+
+    Args:
+        xp: The namespace of the scalar functions.
+        F_W: The thrust vector in N, in W; its tilt stays below `MAX_TILT`.
+        F_dot_W: Its rate of change in N/s, in W.
+        F_ddot_W: The rate of change of that in N/s^2, in W.
+        heading: The desired yaw angle in rad.
+    """
+    cx, cy = xp.cos(heading), xp.sin(heading)
+    s = 1.0 / xp.sqrt(Dot(F_W, F_W))
+    bz = zx, zy, zz = F_W[0] * s, F_W[1] * s, F_W[2] * s
+    # n = bz x heading; never short, because bz is never near the horizontal plane.
+    nx, ny, nz = -zz * cy, zz * cx, zx * cy - zy * cx
+    r = 1.0 / xp.sqrt(nx * nx + ny * ny + nz * nz)
+    by = (nx * r, ny * r, nz * r)
+    bx = Cross(by, bz)
+    shrink = s * Dot(bz, F_dot_W)
+    dx, dy, dz = (  # bz', the rate of bz.
+        s * F_dot_W[0] - shrink * zx,
+        s * F_dot_W[1] - shrink * zy,
+        s * F_dot_W[2] - shrink * zz,
+    )
+    # by' = w x by gives the part of w along bz: -bx . by' = -bx . (bz' x heading) / |n|.
+    spin = -r * (bx[2] * (dx * cy - dy * cx) + dz * (bx[1] * cx - bx[0] * cy))
+    # w = bz x bz' + spin bz, and bz x bz'' needs only the part of bz'' normal to bz.
+    wx, wy, wz = Cross(bz, (dx, dy, dz))
+    w_WD_W = (wx + spin * zx, wy + spin * zy, wz + spin * zz)
+    ax, ay, az = Cross(
+        bz,
+        (
+            s * F_ddot_W[0] - 2.0 * shrink * dx,
+            s * F_ddot_W[1] - 2.0 * shrink * dy,
+            s * F_ddot_W[2] - 2.0 * shrink * dz,
+        ),
+    )
+    alpha_WD_W = (ax + spin * dx, ay + spin * dy, az + spin * dz)
+    return (
+        (bx, by, bz),
+        _Limit(xp, w_WD_W, MAX_DESIRED_RATE),
+        _Limit(xp, alpha_WD_W, MAX_DESIRED_ANGULAR_ACCELERATION),
+    )
+
+
+def CalcAttitudeError(R_WD: Rotation, R_WB: Rotation) -> Vector3:
+    """Returns e_R = 1/2 (R_WD^T R_WB - R_WB^T R_WD)^vee (Lee et al. 2010).
+
+    For small errors it is the rotation vector from D to B, expressed in B, in rad.
+    """
+    dx, dy, dz = R_WD
+    bx, by, bz = R_WB
+    return (
+        0.5 * (Dot(dz, by) - Dot(dy, bz)),
+        0.5 * (Dot(dx, bz) - Dot(dz, bx)),
+        0.5 * (Dot(dy, bx) - Dot(dx, by)),
+    )
+
+
+def CalcTorque(
+    parameters: QuadrotorParameters,
+    gains: Gains,
+    R_WB: Rotation,
+    w_WB_B: Vector3,
+    R_WD: Rotation,
+    w_WD_W: Vector3,
+    alpha_WD_W: Vector3,
+) -> Vector3:
+    """Returns the torque about B's axes in N m (Lee et al. 2010).
+
+    Gains are per inertia, so that a bandwidth means the same for any vehicle:
+
+        M = J (-wn^2 e_R - 2 zeta wn e_w) + w x J w - J (w x R^T R_d w_d - R^T R_d w_d')
+
+    Args:
+        parameters: The vehicle.
+        gains: For wn and zeta.
+        R_WB: The attitude.
+        w_WB_B: The angular velocity in B, rad/s.
+        R_WD: The desired attitude.
+        w_WD_W: The desired angular velocity R_d w_d in W, rad/s.
+        alpha_WD_W: Its rate R_d w_d' in W, rad/s^2.
+    """
+    Jx, Jy, Jz = parameters.inertia
+    wn = gains.attitude_bandwidth
+    k_R, k_w = wn * wn, 2.0 * gains.damping_ratio * wn
+    ex, ey, ez = CalcAttitudeError(R_WD, R_WB)
+    x, y, z = w_WB_B
+    bx, by, bz = R_WB
+    dx, dy, dz = Dot(bx, w_WD_W), Dot(by, w_WD_W), Dot(bz, w_WD_W)  # w_WD in B.
+    ax = Dot(bx, alpha_WD_W) - k_R * ex - k_w * (x - dx) - (y * dz - z * dy)
+    ay = Dot(by, alpha_WD_W) - k_R * ey - k_w * (y - dy) - (z * dx - x * dz)
+    az = Dot(bz, alpha_WD_W) - k_R * ez - k_w * (z - dz) - (x * dy - y * dx)
+    return (
+        Jx * ax + (Jz - Jy) * y * z,
+        Jy * ay + (Jx - Jz) * z * x,
+        Jz * az + (Jy - Jx) * x * y,
+    )
+
+
+def CalcAttitude(
+    xp: Any, rpy: Sequence[Scalar], rpy_rates: Sequence[Scalar]
+) -> tuple[Rotation, Vector3]:
+    """Returns R_WB = Rz(yaw) Ry(pitch) Rx(roll) and w_WB_B in rad/s.
+
+    Args:
+        xp: The namespace of the scalar functions.
+        rpy: Roll, pitch and yaw in rad.
+        rpy_rates: Their rates in rad/s, which are not the body's angular velocity.
+    """
+    roll, pitch, yaw = rpy
+    roll_rate, pitch_rate, yaw_rate = rpy_rates
+    sr, cr = xp.sin(roll), xp.cos(roll)
+    sp, cp = xp.sin(pitch), xp.cos(pitch)
+    sy, cy = xp.sin(yaw), xp.cos(yaw)
+    R_WB = (
+        (cy * cp, sy * cp, -sp),
+        (cy * sp * sr - sy * cr, sy * sp * sr + cy * cr, cp * sr),
+        (cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr),
+    )
+    w_WB_B = (
+        roll_rate - sp * yaw_rate,
+        cr * pitch_rate + cp * sr * yaw_rate,
+        cp * cr * yaw_rate - sr * pitch_rate,
+    )
+    return R_WB, w_WB_B
+
+
+def Dot(a: Vector3, b: Vector3) -> Scalar:
+    """Returns a . b."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def Cross(a: Vector3, b: Vector3) -> Vector3:
+    """Returns a x b."""
+    return (
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    )
+
+
+def _Limit(xp: Any, a: Vector3, largest: float) -> Vector3:
+    """Returns the vector, shortened to the largest length."""
+    square = Dot(a, a)
+    if square <= largest * largest:
+        return a
+    scale = largest / xp.sqrt(square)
+    return a[0] * scale, a[1] * scale, a[2] * scale

@@ -1,0 +1,101 @@
+from hypothesis import given
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+from sgvf_drake.exceptions import PointCloudError
+from sgvf_drake.paths import PointCloud
+
+CORNERS = [[0, 0], [8, 0], [8, 2], [0, 2]]
+
+
+def test_what_a_cloud_knows():
+    cloud = PointCloud(CORNERS)
+    assert cloud.points.dtype == np.float64
+    assert (cloud.num_points, cloud.dim) == (4, 2)
+    np.testing.assert_array_equal(cloud.center, [4, 1])
+    assert cloud.half_extent == 4
+    assert cloud.unit_length == 1
+    np.testing.assert_array_equal(cloud.box, [[-1, -4], [9, 6]])
+    assert repr(cloud) == "PointCloud(4 points in 2-D)"
+    assert repr(PointCloud(CORNERS, shape="box")) == "PointCloud(4 points in 2-D, shape='box')"
+
+
+def test_the_points_are_a_read_only_copy():
+    array = np.array(CORNERS, dtype=float)
+    cloud = PointCloud(array)
+    array[0, 0] = 99
+    assert cloud.points[0, 0] == 0
+    with pytest.raises(ValueError, match="read-only"):
+        cloud.points[0, 0] = 1
+
+
+def test_the_digest_is_of_the_values_alone():
+    array = np.array(CORNERS, dtype=float)
+    digest = PointCloud(array).digest
+    assert len(digest) == 64
+    assert PointCloud(np.asfortranarray(array), shape="box").digest == digest
+    assert PointCloud(CORNERS).digest == digest
+    assert PointCloud(array[::-1]).digest != digest
+    assert PointCloud(array.reshape(2, 4)).digest != digest
+
+
+@given(
+    scale=st.floats(1e-6, 1e6),
+    x=st.floats(-1e3, 1e3),
+    y=st.floats(-1e3, 1e3),
+    n=st.integers(0, 5),
+)
+def test_normalising_spans_four_units_and_comes_back(scale, x, y, n):
+    cloud = PointCloud(scale * (np.array(CORNERS) + np.array([x, y])))
+    normalized = cloud.normalize(cloud.points)
+    np.testing.assert_allclose(normalized[:, 0], [-4, 4, 4, -4], atol=1e-9)
+    np.testing.assert_allclose(normalized[:, 1], [-1, -1, 1, 1], atol=1e-9)
+    more = np.full((n, 3, 2), scale)
+    back = cloud.denormalize(cloud.normalize(more))
+    np.testing.assert_allclose(back, more, rtol=1e-9, atol=1e-9 * cloud.half_extent)
+
+
+def test_coincident_waypoints_are_allowed():
+    assert PointCloud([[0, 0], [0, 0], [1, 1]]).num_points == 3
+
+
+def test_reading(tmp_path):
+    (tmp_path / "points.csv").write_text("x,y,w\n0,1,2\n3,4,5\n")
+    np.testing.assert_array_equal(
+        PointCloud.read(tmp_path / "points.csv").points, [[0, 1], [3, 4]]
+    )
+    np.testing.assert_array_equal(
+        PointCloud.read(tmp_path / "points.csv", columns=["w", "x"]).points, [[2, 0], [5, 3]]
+    )
+    (tmp_path / "one.csv").write_text("x,y\n0,1\n")
+    with pytest.raises(PointCloudError, match=r"one\.csv: a path needs at least 2"):
+        PointCloud.read(tmp_path / "one.csv")
+
+
+@pytest.mark.parametrize(
+    ("points", "match"),
+    [
+        ([1.0, 2.0], r"not \(2,\)"),
+        (np.zeros((2, 2, 2)), r"not \(2, 2, 2\)"),
+        ([[1.0], [2.0]], "at least 2 coordinates, not 1"),
+        ([[1.0, 2.0]], "at least 2 waypoints, not 1"),
+        (np.zeros((0, 2)), "at least 2 waypoints, not 0"),
+        ([[1, 2], [3]], "do not all have the same length"),
+        ([["a", "b"], ["c", "d"]], "real numbers, not <U1"),
+        ([[1j, 2], [3, 4]], "real numbers, not complex128"),
+        ([[1, None], [3, 4]], "real numbers, not object"),
+        (np.zeros((3, 2), dtype=bool), "real numbers, not bool"),
+        (np.eye(20)[:, :2] / np.where(np.arange(20) == 17, np.nan, 1)[:, None], "waypoint 17"),
+        ([[1, 2], [np.inf, 0]], r"waypoint 1 is not finite: \[inf, 0.0\]"),
+        ([[1, 2]] * 5, r"all 5 waypoints coincide at \[1.0, 2.0\]"),
+        ([[-1.5e308, 0], [1.5e308, 0]], "choose another unit"),
+        ([[0, 0], [1e-200, 0]], "choose another unit"),
+        ([[0, 0], [1e120, 0]], "choose another unit"),
+        ([[1e9, 0], [1e9 + 1e-1, 0]], "subtract an offset"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:overflow")
+def test_what_cannot_be_followed_is_refused(points, match):
+    with pytest.raises(PointCloudError, match=match):
+        PointCloud(points)

@@ -1,0 +1,375 @@
+import time
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
+from sgvf_drake.metrics import default_duration, follow_metrics, grid_starts
+from sgvf_drake.paths import (
+    Piece,
+    PointCloud,
+    ReferencePath,
+    make_shape,
+    shape_path,
+    tree_reference,
+)
+
+CLOUD, CIRCLE = make_shape("circle")  # radius 3, U = 0.75
+U, BOX = CLOUD.unit_length, CLOUD.box
+LAP = CIRCLE.longest
+SAGITTA = 1e-6  # the circle is a polygon
+
+
+def times_for(duration, step=0.05):
+    return np.linspace(0, duration, round(duration / step) + 1)
+
+
+def around(times, radius=3.0, speed=1.0, direction=1, center=(0.0, 0.0)):
+    """One agent on a circle at a given speed along it; (T, 1, 2)."""
+    angle = direction * speed * times / radius
+    orbit = radius * np.column_stack([np.cos(angle), np.sin(angle)]) + np.asarray(center)
+    return orbit[:, None, :]
+
+
+def measure(times, positions, reference=CIRCLE, **kwargs):
+    return follow_metrics(times, positions, U, BOX, reference, **kwargs)
+
+
+def test_a_perfect_lap():
+    times = times_for(LAP)
+    metrics = measure(times, around(times))
+    assert metrics.summary() == {
+        "reach_fraction": 1.0,
+        "lap_fraction": 1.0,
+        "stall_fraction": 0.0,
+        "leave_fraction": 0.0,
+        "cross_track_rms": pytest.approx(0, abs=SAGITTA),
+        "cross_track_max": pytest.approx(0, abs=SAGITTA),
+    }
+    np.testing.assert_allclose(metrics.laps, 1, rtol=1e-6)
+    np.testing.assert_array_equal(metrics.samples, len(times))
+
+
+def test_an_offset_is_the_error():
+    times = times_for(1.5 * LAP)
+    metrics = measure(times, around(times, radius=3.05))
+    assert metrics.lapped.all()
+    np.testing.assert_allclose(metrics.rms, 0.05, atol=SAGITTA)
+    np.testing.assert_allclose(metrics.maximum, 0.05, atol=SAGITTA)
+
+
+def test_the_error_is_that_of_the_last_lap_only():
+    times = times_for(3 * LAP)
+    radius = 3 + np.where(times < 1.5 * LAP, 0.2, 0.01 * np.sin(5 * times / 3))
+    angle = times / 3
+    positions = (radius * np.array([np.cos(angle), np.sin(angle)])).T[:, None, :]
+    metrics = measure(times, positions)
+    np.testing.assert_allclose(metrics.rms, 0.01 / np.sqrt(2), rtol=1e-2)
+    np.testing.assert_allclose(metrics.maximum, 0.01, rtol=1e-2)
+    np.testing.assert_allclose(metrics.laps, 3, rtol=1e-6)
+    # One lap of samples, and the two at its ends.
+    assert abs(metrics.samples[0] - LAP / 0.05) <= 2
+
+
+def test_a_clockwise_lap_counts_and_is_negative():
+    times = times_for(2 * LAP)
+    metrics = measure(times, around(times, direction=-1))
+    assert metrics.lapped.all()
+    np.testing.assert_allclose(metrics.laps, -2, rtol=1e-6)
+
+
+def test_most_of_a_lap_is_none():
+    times = times_for(0.99 * LAP)
+    metrics = measure(times, around(times))
+    assert not metrics.lapped.any()
+    assert not metrics.settled.any()
+    assert metrics.reached.all()
+    assert np.isnan(metrics.rms).all()
+    np.testing.assert_array_equal(metrics.samples, 0)
+    summary = metrics.summary()
+    assert summary["cross_track_rms"] is None
+    assert summary["cross_track_max"] is None
+
+
+def test_half_a_lap_back_and_forth_settles_but_does_not_lap():
+    times = times_for(4 * LAP)
+    angle = 0.5 * np.pi * np.sin(times / 3)
+    positions = 3.02 * np.column_stack([np.cos(angle), np.sin(angle)])[:, None, :]
+    metrics = measure(times, positions)
+    assert metrics.settled.all()
+    assert not metrics.lapped.any()
+    np.testing.assert_allclose(metrics.rms, 0.02, atol=SAGITTA)
+
+
+def test_a_slow_agent_laps_by_arc_length_not_by_time():
+    times = times_for(3 * LAP)
+    metrics = measure(times, around(times, speed=0.4))
+    assert metrics.lapped.all()
+    np.testing.assert_allclose(metrics.laps, 1.2, rtol=1e-6)
+    assert metrics.samples[0] == pytest.approx(LAP / 0.4 / 0.05, abs=2)
+
+
+def test_the_given_speed_scales_the_windows():
+    times = times_for(LAP / 2, step=0.02)
+    fast = around(times, speed=2.0)
+    assert measure(times, fast, speed=2.0).lapped.all()
+    # A lap in less time than expected is a lap all the same.
+    early = measure(times, fast, speed=1.0)
+    assert early.lapped.all()
+    assert early.settled.all()
+    assert np.isfinite(early.rms).all()
+    # The same half-turn back and forth needs the time of a lap to be settled.
+    half = np.abs(np.pi - np.linspace(0, 2 * np.pi, len(times)))
+    sway = 3 * np.column_stack([np.cos(half), np.sin(half)])[:, None, :]
+    assert measure(times, sway, speed=2.0).settled.all()
+    assert not measure(times, sway, speed=1.0).settled.any()
+
+
+@pytest.mark.parametrize(("duration", "stalled"), [(7.9, False), (8.1, True), (100.0, True)])
+def test_an_agent_at_rest_on_the_path_stalls(duration, stalled):
+    times = times_for(duration * U)
+    positions = np.tile([[3.0, 0.0]], (len(times), 1, 1))
+    metrics = measure(times, positions)
+    assert metrics.stalled.tolist() == [stalled]
+    assert not metrics.lapped.any()
+    assert metrics.reached.all()
+    assert metrics.settled.tolist() == [duration == 100.0]
+
+
+@pytest.mark.parametrize(("span", "stalled"), [(0.48, True), (0.52, False)])
+def test_a_stall_spans_less_than_half_a_unit(span, stalled):
+    times = times_for(20.0)
+    # The span is a diagonal: each coordinate spans its part of it.
+    sway = 0.5 * span * U * np.sin(7 * times)[:, None] * np.array([0.6, 0.8])
+    assert measure(times, sway[:, None, :]).stalled.tolist() == [stalled]
+
+
+@pytest.mark.parametrize(("boxes", "left"), [(1.49, False), (1.51, True)])
+def test_leaving_means_one_and_a_half_boxes(boxes, left):
+    times = times_for(10.0)
+    out = boxes * 3.75 * np.sin(np.pi * times / 10)
+    positions = np.column_stack([np.zeros_like(out), -out])[:, None, :]
+    assert measure(times, positions).left.tolist() == [left]
+
+
+@pytest.mark.parametrize(("gap", "reached"), [(0.09, True), (0.11, False)])
+def test_reaching_means_a_tenth_of_a_unit(gap, reached):
+    times = times_for(5.0)
+    metrics = measure(times, around(times, radius=3 + gap * U))
+    assert metrics.reached.tolist() == [reached]
+
+
+@pytest.mark.parametrize(("gap", "lapped"), [(0.29, True), (0.31, False)])
+def test_staying_means_three_tenths_of_a_unit(gap, lapped):
+    times = times_for(2 * LAP)
+    metrics = measure(times, around(times, radius=3 + gap * U))
+    assert metrics.lapped.tolist() == [lapped]
+    assert metrics.settled.tolist() == [lapped]
+
+
+def test_a_jump_between_pieces_begins_anew():
+    reference = shape_path("separated-circles")
+    lap = reference.longest
+    times = times_for(2 * lap)
+    jump = times >= 1.5 * lap
+    positions = np.where(
+        jump[:, None, None],
+        around(times, 1.5, center=(2, 0)),
+        around(times, 1.5, center=(-2, 0)),
+    )
+    metrics = measure(times, positions, reference)
+    assert not metrics.lapped.any()
+    assert not metrics.settled.any()
+    np.testing.assert_array_equal(metrics.piece, 1)
+    np.testing.assert_allclose(metrics.laps, 0.5, atol=0.01)
+    late = times >= 0.9 * lap
+    assert measure(times[~jump], positions[~jump], reference).lapped.all()
+    assert not measure(times[late], positions[late], reference).settled.any()
+
+
+def test_an_excursion_begins_the_tail_anew():
+    times = times_for(1.8 * LAP)
+    positions = around(times)
+    positions[len(times) // 2] *= 1.2
+    metrics = measure(times, positions)
+    assert not metrics.lapped.any()
+    np.testing.assert_allclose(metrics.laps, 0.9, atol=0.01)
+
+
+def test_an_open_polyline_is_lapped_from_end_to_end():
+    line = ReferencePath((Piece(np.array([[-3.0, 0.0], [3.0, 0.0]]), closed=False),))
+    times = times_for(6.0)
+    x = np.linspace(-3, 3, len(times))
+    whole = np.column_stack([x, np.full_like(x, 0.03)])
+    late = np.column_stack([np.maximum(x, -2.8), np.full_like(x, 0.03)])
+    metrics = measure(times, np.stack([whole, late], axis=1), line)
+    assert metrics.lapped.tolist() == [True, False]
+    assert metrics.settled.tolist() == [True, True]
+    np.testing.assert_allclose(metrics.rms, 0.03)
+    np.testing.assert_allclose(metrics.laps, [1, 5.8 / 6], rtol=1e-6)
+
+
+def test_pooled_error_weighs_each_sample():
+    times = times_for(2 * LAP)
+    agents = [around(times, 3.03), around(times, 3.1, speed=0.75), around(times, 3.9)]
+    metrics = measure(times, np.concatenate(agents, axis=1))
+    assert metrics.settled.tolist() == [True, True, False]
+    n = metrics.samples
+    expected = np.sqrt((n[0] * 0.03**2 + n[1] * 0.1**2) / (n[0] + n[1]))
+    summary = metrics.summary()
+    assert summary["cross_track_rms"] == pytest.approx(expected, abs=SAGITTA)
+    assert summary["cross_track_max"] == pytest.approx(0.1, abs=SAGITTA)
+    assert summary["lap_fraction"] == pytest.approx(2 / 3)
+
+
+@pytest.mark.parametrize("shape", ["circle", "separated-circles", "square"])
+def test_the_tree_of_the_cloud_agrees_with_the_true_path(shape):
+    cloud, path = make_shape(shape, num_points=200)
+    times = times_for(1.5 * path.longest, step=0.02)
+    track = path.pieces[0].at(times % path.pieces[0].length)
+    centroid = path.pieces[0].vertices.mean(axis=0)
+    outside = centroid + 1.02 * (track - centroid)
+    half = centroid + np.abs(track - centroid)
+    args = (times, np.stack([track, outside, half], 1), cloud.unit_length, cloud.box)
+    true, tree = (follow_metrics(*args, ref) for ref in (path, tree_reference(cloud)))
+    for name in ("reached", "lapped", "stalled", "left"):
+        np.testing.assert_array_equal(getattr(tree, name), getattr(true, name))
+    assert true.lapped[:2].all()
+    np.testing.assert_allclose(tree.rms[:2], true.rms[:2], atol=2e-3)
+    np.testing.assert_allclose(np.abs(tree.laps[:2]), 1.5, rtol=2e-3)
+
+
+def test_with_a_tree_a_lap_passes_every_waypoint():
+    cloud, _ = make_shape("circle")
+    waypoint_beside = np.array([[3.0 + 0.35 * U, 0.0]])
+    with_branch = PointCloud(np.concatenate([cloud.points, waypoint_beside]))
+    times = times_for(2 * LAP)
+    for points, lapped in ((cloud, True), (with_branch, False)):
+        metrics = measure(times, around(times), tree_reference(points))
+        assert metrics.settled.all()
+        assert metrics.lapped.tolist() == [lapped]
+
+
+def test_an_isolated_waypoint_is_nothing_to_settle_on():
+    cloud = PointCloud(np.concatenate([CLOUD.points, [[0.0, 0.0]]]))
+    times = times_for(2 * LAP)
+    metrics = measure(times, np.zeros((len(times), 1, 2)), tree_reference(cloud))
+    assert metrics.reached.all()
+    assert not metrics.settled.any()
+    assert not metrics.lapped.any()
+    np.testing.assert_array_equal(metrics.laps, 0)
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    angle=st.floats(0, 2 * np.pi),
+    scale=st.floats(1e-3, 1e3),
+    offset=st.floats(-10, 10),
+)
+def test_rigid_motion_and_scaling_change_nothing(seed, angle, scale, offset):
+    rng = np.random.default_rng(seed)
+    times = times_for(25.0, step=0.1)
+    speeds = rng.uniform(0.1, 1.2, 6)
+    # Outside a convex polygon the projection is continuous, so rounding cannot move it.
+    radii = 3.02 + rng.uniform(0, 0.5, 6) * np.exp(-times[:, None] / 5)
+    angles = times[:, None] * speeds / 3
+    positions = np.stack([radii * np.cos(angles), radii * np.sin(angles)], axis=-1)
+    c, s = np.cos(angle), np.sin(angle)
+    turn = np.array([[c, s], [-s, c]])
+
+    def move(x):
+        return scale * (x @ turn + offset)
+
+    # A polygon, as rotating a circle's own vertices onto each other would prove less.
+    vertices = CIRCLE.pieces[0].vertices[::64]
+    paths = [ReferencePath((Piece(v, closed=True),)) for v in (vertices, move(vertices))]
+    # The box is a square along the axes: it moves along, but cannot turn.
+    center = move(np.zeros((1, 2)))[0]
+    boxes = [BOX, (center + scale * BOX[0], center + scale * BOX[1])]
+    before = follow_metrics(times, positions, U, boxes[0], paths[0])
+    after = follow_metrics(
+        times * scale, move(positions), U * scale, boxes[1], paths[1], speed=1.0
+    )
+    for name in ("reached", "settled", "lapped", "stalled", "left", "piece", "samples"):
+        np.testing.assert_array_equal(getattr(after, name), getattr(before, name))
+    np.testing.assert_allclose(after.rms, before.rms * scale, rtol=1e-4, atol=1e-6 * scale)
+    np.testing.assert_allclose(after.laps, before.laps, rtol=1e-6, atol=1e-6)
+
+
+def test_a_full_run_of_400_agents_takes_seconds():
+    times = np.linspace(0, 1.5 * LAP, 1500)
+    rng = np.random.default_rng(0)
+    positions = around(times) + 0.02 * rng.standard_normal((1500, 400, 2))
+    start = time.perf_counter()
+    metrics = measure(times, positions)
+    assert time.perf_counter() - start < 20
+    assert metrics.lapped.all()
+    assert metrics.summary()["cross_track_rms"] == pytest.approx(0.02, rel=0.01)
+
+
+def test_default_duration():
+    assert default_duration(CIRCLE, U) == pytest.approx(1.5 * 6 * np.pi + 15 * 0.75)
+    assert default_duration(CIRCLE, U, speed=2.0) == pytest.approx(
+        default_duration(CIRCLE, U) / 2
+    )
+
+
+def test_400_starts_in_the_plane_are_a_grid_of_20_by_20():
+    starts = grid_starts((np.array([-5.0, -4]), np.array([5.0, 4])), 400, 2)
+    assert starts.shape == (400, 2)
+    np.testing.assert_allclose(np.unique(starts[:, 0]), np.linspace(-5, 5, 20))
+    np.testing.assert_allclose(np.unique(starts[:, 1]), np.linspace(-4, 4, 20))
+
+
+@pytest.mark.parametrize(("n", "dim"), [(1, 2), (2, 2), (5, 2), (145, 2), (27, 3), (30, 3)])
+def test_starts_are_distinct_and_inside_the_box(n, dim):
+    box = (-np.ones(dim), np.ones(dim))
+    starts = grid_starts(box, n, dim)
+    assert starts.shape == (n, dim)
+    assert len(np.unique(starts, axis=0)) == n
+    assert np.abs(starts).max() <= 1
+    np.testing.assert_array_equal(starts, grid_starts(box, n, dim))
+    if n == 1:
+        np.testing.assert_array_equal(starts, 0)
+    else:
+        np.testing.assert_array_equal(starts[[0, -1]], [-np.ones(dim), np.ones(dim)])
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"times": np.zeros(5)}, "increasing"),
+        ({"times": np.arange(1.0)}, "at least 2"),
+        ({"positions": np.zeros((5, 2))}, r"must be \(5, n, 2\)"),
+        ({"positions": np.zeros((4, 1, 2))}, r"not \(4, 1, 2\)"),
+        ({"positions": np.zeros((5, 1, 3))}, r"not \(5, 1, 3\)"),
+        ({"unit_length": 0.0}, "unit_length must be positive"),
+        ({"speed": np.nan}, "speed must be positive"),
+    ],
+)
+def test_bad_input_is_refused(change, match):
+    arguments = {
+        "times": np.arange(5.0),
+        "positions": np.zeros((5, 1, 2)),
+        "unit_length": U,
+        "box": BOX,
+        "reference": CIRCLE,
+    }
+    with pytest.raises(ConfigurationError, match=match):
+        follow_metrics(**(arguments | change))
+
+
+def test_a_position_that_is_not_finite_is_named():
+    positions = np.zeros((5, 3, 2))
+    positions[4, 1, 0] = np.nan
+    with pytest.raises(NonFiniteValueError, match="agent 1 is not finite at time 2"):
+        measure(np.linspace(0, 2, 5), positions)
+
+
+@pytest.mark.parametrize(("n", "dim", "match"), [(0, 2, "at least 1"), (4, 3, "corners")])
+def test_bad_starts_are_refused(n, dim, match):
+    with pytest.raises(ConfigurationError, match=match):
+        grid_starts(BOX, n, dim)

@@ -1,0 +1,188 @@
+import math
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
+from pydrake.systems.framework import DiagramBuilder
+import pytest
+
+from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
+from systems import DEFAULT_GAINS, GuidanceSystem, QuadrotorParameters, Se3Controller
+
+F_MAX = QuadrotorParameters().max_propeller_force
+INPUTS = (("state", 12), ("velocity_command", 3), ("acceleration_feedforward", 3))
+CONTROLLER = Se3Controller()
+
+
+def evaluate(system, inputs, gains=None):
+    """The forces for all inputs in one vector (18,)."""
+    context = system.CreateDefaultContext()
+    if gains is not None:
+        system.SetGains(context, gains)
+    start = 0
+    for name, size in INPUTS:
+        system.GetInputPort(name).FixValue(context, inputs[start : start + size])
+        start += size
+    return system.GetOutputPort("propeller_force").Eval(context)
+
+
+def random_inputs(count, seed=0):
+    """Inputs within the vehicle's limits, where the law is smooth."""
+    rng = np.random.default_rng(seed)
+    return np.concatenate(
+        (
+            rng.uniform(-2.0, 2.0, (count, 3)),
+            rng.uniform(-0.15, 0.15, (count, 3)),
+            rng.uniform(-0.4, 0.4, (count, 6)),
+            rng.uniform(-0.4, 0.4, (count, 6)),
+        ),
+        axis=1,
+    )
+
+
+def differences(function, x, h=1e-6):
+    return np.column_stack(
+        [(function(x + e) - function(x - e)) / (2.0 * h) for e in h * np.eye(len(x))]
+    )
+
+
+def test_gradients_agree_with_differences():
+    autodiff = CONTROLLER.ToAutoDiffXd()
+    for inputs in random_inputs(6):
+        forces = evaluate(CONTROLLER, inputs)
+        assert np.all((forces > 0.01) & (forces < F_MAX - 0.01)), "not smooth at a limit"
+        expected = differences(lambda x: evaluate(CONTROLLER, x), inputs)
+        output = evaluate(autodiff, InitializeAutoDiff(inputs)[:, 0])
+        np.testing.assert_allclose(
+            ExtractGradient(output.reshape(-1, 1)),
+            expected,
+            atol=1e-5 * np.abs(expected).max(),
+        )
+
+
+def test_gradients_are_finite_in_hover():
+    # Square roots of zero are what spoils them.
+    output = evaluate(CONTROLLER.ToAutoDiffXd(), InitializeAutoDiff(np.zeros(18))[:, 0])
+    assert np.all(np.isfinite(ExtractGradient(output.reshape(-1, 1))))
+
+
+def make_chain(field):
+    builder = DiagramBuilder()
+    guidance = builder.AddNamedSystem("guidance", GuidanceSystem(field))
+    controller = builder.AddNamedSystem("controller", Se3Controller())
+    for name, _ in INPUTS[1:]:
+        builder.Connect(guidance.GetOutputPort(name), controller.GetInputPort(name))
+    builder.ExportInput(guidance.GetInputPort("state"), "state")
+    builder.ConnectInput("state", controller.GetInputPort("state"))
+    builder.ExportOutput(controller.GetOutputPort("propeller_force"), "propeller_force")
+    return builder.Build()
+
+
+def test_gradients_of_guidance_and_controller_agree_with_differences(circle_field):
+    chain = make_chain(circle_field)
+    autodiff = chain.ToAutoDiffXd()
+
+    def forces(system, state):
+        context = system.CreateDefaultContext()
+        system.get_input_port().FixValue(context, state)
+        return system.get_output_port().Eval(context)
+
+    for inputs in random_inputs(6, seed=1):
+        state = inputs[:12]
+        state[:3] = 1.2 * math.cos(state[0]), 0.8 * math.sin(state[0]), 1.0 + 0.1 * state[2]
+        assert np.all((forces(chain, state) > 0.01) & (forces(chain, state) < F_MAX - 0.01))
+        expected = differences(lambda x: forces(chain, x), state)
+        gradient = ExtractGradient(forces(autodiff, InitializeAutoDiff(state)).reshape(-1, 1))
+        np.testing.assert_allclose(gradient, expected, atol=1e-5 * np.abs(expected).max())
+
+
+finite = st.floats(-1e3, 1e3)
+
+
+@settings(max_examples=200)
+@given(st.lists(finite, min_size=18, max_size=18))
+def test_forces_stay_within_what_a_motor_gives(inputs):
+    forces = evaluate(CONTROLLER, np.array(inputs))
+    assert np.all((forces >= 0.0) & (forces <= F_MAX))
+
+
+@given(
+    st.integers(0, 2**32 - 1),
+    st.floats(-3.0, 3.0),
+    st.tuples(*[st.floats(-100.0, 100.0)] * 3),
+)
+def test_turning_and_moving_the_world_changes_nothing(seed, turn, shift):
+    inputs = random_inputs(1, seed)[0]
+    c, s = math.cos(turn), math.sin(turn)
+    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    moved = inputs.copy()
+    moved[:3] = R @ inputs[:3] + shift
+    moved[5] += turn
+    for start in (6, 12, 15):
+        moved[start : start + 3] = R @ inputs[start : start + 3]
+    gains = DEFAULT_GAINS._replace(heading=0.2)
+    turned = gains._replace(heading=0.2 + turn)
+    np.testing.assert_allclose(
+        evaluate(CONTROLLER, moved, turned), evaluate(CONTROLLER, inputs, gains), atol=1e-11
+    )
+
+
+def test_changed_gain_takes_effect_at_once_and_is_cloned():
+    context = CONTROLLER.CreateDefaultContext()
+    inputs = random_inputs(1)[0]
+    for (name, _), value in zip(INPUTS, np.split(inputs, [12, 15]), strict=True):
+        CONTROLLER.GetInputPort(name).FixValue(context, value)
+    before = CONTROLLER.get_output_port().Eval(context).copy()
+    gains = CONTROLLER.GetGains(context)._replace(velocity_gain=4.0)
+    CONTROLLER.SetGains(context, gains)
+    assert CONTROLLER.GetGains(context.Clone()) == gains
+    np.testing.assert_array_equal(
+        CONTROLLER.get_output_port().Eval(context), evaluate(CONTROLLER, inputs, gains)
+    )
+    assert np.abs(CONTROLLER.get_output_port().Eval(context) - before).max() > 1e-3
+
+
+def test_output_is_in_the_units_of_the_plant():
+    inputs = random_inputs(1)[0]
+    # Twice the force per unit of input, and the same torque per newton.
+    doubled = QuadrotorParameters(force_constant=2.0, moment_constant=0.016)
+    np.testing.assert_allclose(
+        2.0 * evaluate(Se3Controller(doubled), inputs), evaluate(CONTROLLER, inputs)
+    )
+
+
+def test_scalar_conversion_keeps_the_gains():
+    gains = DEFAULT_GAINS._replace(heading=0.5)
+    autodiff = Se3Controller(gains=gains).ToAutoDiffXd()
+    converted = autodiff.GetGains(autodiff.CreateDefaultContext())
+    assert [gain.value() for gain in converted] == list(gains)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("velocity_gain", 0.0),
+        ("attitude_bandwidth", math.nan),
+        ("damping_ratio", -1.0),
+        ("heading", math.inf),
+    ],
+)
+def test_bad_gain_is_named(name, value):
+    gains = DEFAULT_GAINS._replace(**{name: value})
+    with pytest.raises(ConfigurationError, match=name):
+        Se3Controller(gains=gains)
+    with pytest.raises(ConfigurationError, match=name):
+        CONTROLLER.SetGains(CONTROLLER.CreateDefaultContext(), gains)
+
+
+@pytest.mark.parametrize(
+    ("index", "port"),
+    [(4, "state"), (13, "velocity_command"), (17, "acceleration_feedforward")],
+)
+def test_input_that_is_not_finite_is_named(index, port):
+    inputs = np.zeros(18)
+    inputs[index] = math.nan
+    for system in (CONTROLLER, CONTROLLER.ToAutoDiffXd()):
+        with pytest.raises(NonFiniteValueError, match=f"Se3Controller.*'{port}'.*t = 0 s"):
+            evaluate(system, inputs)

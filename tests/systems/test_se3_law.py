@@ -1,0 +1,235 @@
+"""The scalar law against matrices written from Lee et al. 2010, RotorPy and Drake."""
+
+import math
+
+from hypothesis import given
+from hypothesis import strategies as st
+import numpy as np
+from pydrake.math import RollPitchYaw
+import pytest
+from rotorpy.controllers.quadrotor_control import SE3Control
+
+from systems import DEFAULT_GAINS, Gains, QuadrotorParameters
+from systems.se3_law import (
+    LIFT_SHARE,
+    MAX_DESIRED_ANGULAR_ACCELERATION,
+    MAX_DESIRED_RATE,
+    MAX_TILT,
+    MIN_LIFT,
+    SLOW_SPEED,
+    THRUST_SHARE,
+    CalcAttitude,
+    CalcAttitudeError,
+    CalcDesiredAttitude,
+    CalcThrustAndTorque,
+    LimitThrust,
+)
+
+PARAMETERS = QuadrotorParameters()
+E3 = np.array([0.0, 0.0, 1.0])
+
+
+def columns(R):
+    """The law's own form of a rotation matrix."""
+    return tuple(tuple(column) for column in np.asarray(R).T.tolist())
+
+
+def hat(w):
+    return np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
+
+
+def vee(S):
+    return np.array([S[2, 1], S[0, 2], S[1, 0]])
+
+
+def random_case(seed):
+    """A state, a velocity command and a feed-forward well within all limits."""
+    rng = np.random.default_rng(seed)
+    state = np.concatenate(
+        (
+            rng.uniform(-2.0, 2.0, 3),
+            rng.uniform(-0.6, 0.6, 3),
+            rng.uniform(-1.5, 1.5, 3),
+            rng.uniform(-2.0, 2.0, 3),
+        )
+    )
+    gains = Gains(3.0, 12.0, 0.7, rng.uniform(-math.pi, math.pi))
+    return state, state[6:9] + rng.uniform(-0.5, 0.5, 3), rng.uniform(-2.0, 2.0, 3), gains
+
+
+def law(state, velocity_command, acceleration, gains=DEFAULT_GAINS):
+    thrust, torque = CalcThrustAndTorque(
+        math,
+        PARAMETERS,
+        gains,
+        state.tolist(),
+        velocity_command.tolist(),
+        acceleration.tolist(),
+    )
+    return thrust, np.array(torque)
+
+
+def desired_rotation(F, heading):
+    b3 = F / np.linalg.norm(F)
+    b2 = np.cross(b3, [math.cos(heading), math.sin(heading), 0.0])
+    b2 /= np.linalg.norm(b2)
+    return np.column_stack((np.cross(b2, b3), b2, b3))
+
+
+def lee(state, velocity_command, acceleration, gains):
+    """Lee et al. 2010, with matrices and numerical rates of R_d."""
+    m, g, J = PARAMETERS.mass, PARAMETERS.gravity, np.diag(PARAMETERS.inertia)
+    v = state[6:9]
+    R = RollPitchYaw(state[3:6]).ToRotationMatrix().matrix()
+    w = RollPitchYaw(state[3:6]).CalcAngularVelocityInChildFromRpyDt(state[9:12])
+    F = m * (acceleration + gains.velocity_gain * (velocity_command - v) + g * E3)
+    turn = np.cross(v, acceleration) / (v @ v + SLOW_SPEED**2)
+
+    def attitude(t):
+        # The feed-forward turns with the path; Taylor's series of the rotation suffices.
+        first = np.cross(turn, acceleration)
+        moved = t * first + 0.5 * t**2 * np.cross(turn, first)
+        return desired_rotation(F + m * moved, gains.heading)
+
+    def w_d(t, h=1e-4):
+        # vee of the skew part, because rounding leaves a symmetric one.
+        S = attitude(t).T @ (attitude(t + h) - attitude(t - h)) / (2.0 * h)
+        return vee(0.5 * (S - S.T))
+
+    w_d_dot = (w_d(1e-3) - w_d(-1e-3)) / 2e-3
+    w_d_dot[2] = 0.0  # Left out, and said so: it does not move the thrust.
+    Q = attitude(0.0).T @ R
+    e_R = 0.5 * vee(Q - Q.T)
+    e_w = w - Q.T @ w_d(0.0)
+    k_R, k_w = gains.attitude_bandwidth**2, 2 * gains.damping_ratio * gains.attitude_bandwidth
+    M = J @ (-k_R * e_R - k_w * e_w) + np.cross(w, J @ w)
+    M -= J @ (hat(w) @ Q.T @ w_d(0.0) - Q.T @ w_d_dot)
+    return F @ R @ E3, M
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_law_agrees_with_lee_et_al(seed):
+    case = random_case(seed)
+    thrust, torque = law(*case)
+    expected_thrust, expected_torque = lee(*case)
+    assert thrust == pytest.approx(expected_thrust, rel=1e-12)
+    # The numerical rates of R_d are good to about 1e-6.
+    np.testing.assert_allclose(
+        torque, expected_torque, atol=2e-5 * np.linalg.norm(expected_torque)
+    )
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_law_agrees_with_rotorpy(seed):
+    state, velocity_command, _, gains = random_case(seed)
+    p, L = PARAMETERS, PARAMETERS.arm_length
+    zeros = dict.fromkeys(
+        ("Ixy", "Ixz", "Iyz", "c_Dx", "c_Dy", "c_Dz", "rotor_speed_min", "k_d", "k_z"), 0.0
+    )
+    reference = SE3Control(
+        zeros
+        | dict(zip(("Ixx", "Iyy", "Izz"), p.inertia, strict=True))
+        | {
+            "mass": p.mass,
+            "num_rotors": 4,
+            "rotor_pos": {
+                "r1": np.array([L, 0.0, 0.0]),
+                "r2": np.array([0.0, L, 0.0]),
+                "r3": np.array([-L, 0.0, 0.0]),
+                "r4": np.array([0.0, -L, 0.0]),
+            },
+            "rotor_directions": np.array([1, -1, 1, -1]),
+            "rotor_speed_max": 1.0,
+            "k_eta": 1.0,
+            "k_m": p.yaw_arm,
+            "k_flap": 0.0,
+            "tau_m": 0.0,
+            "kp_att": gains.attitude_bandwidth**2,
+            "kd_att": 2 * gains.damping_ratio * gains.attitude_bandwidth,
+        }
+    )
+    reference.kd_pos = np.full(3, gains.velocity_gain)
+    rpy = RollPitchYaw(state[3:6])
+    q = rpy.ToQuaternion()
+    measured = {
+        "x": state[:3],
+        "v": state[6:9],
+        "q": np.array([q.x(), q.y(), q.z(), q.w()]),
+        "w": rpy.CalcAngularVelocityInChildFromRpyDt(state[9:12]),
+    }
+    wanted = {
+        "x": state[:3],
+        "x_dot": velocity_command,
+        "x_ddot": np.zeros(3),
+        "yaw": gains.heading,
+        "yaw_dot": 0.0,
+    }
+    # Without feed-forward the desired attitude is at rest, as RotorPy always takes it.
+    expected = reference.update(0.0, measured, wanted)
+    thrust, torque = law(state, velocity_command, np.zeros(3), gains)
+    assert thrust == pytest.approx(expected["cmd_thrust"], rel=1e-9)
+    np.testing.assert_allclose(torque, expected["cmd_moment"], rtol=1e-9, atol=1e-12)
+
+
+angles = st.floats(-3.0, 3.0)
+pitches = st.floats(-1.4, 1.4)
+rates = st.floats(-10.0, 10.0)
+
+
+@given(st.tuples(angles, pitches, angles), st.tuples(rates, rates, rates))
+def test_attitude_agrees_with_drake(rpy, rpy_rates):
+    R_WB, w_WB_B = CalcAttitude(math, rpy, rpy_rates)
+    expected = RollPitchYaw(np.array(rpy))
+    np.testing.assert_allclose(
+        np.array(R_WB).T, expected.ToRotationMatrix().matrix(), atol=1e-14
+    )
+    w = expected.CalcAngularVelocityInChildFromRpyDt(np.array(rpy_rates))
+    np.testing.assert_allclose(w_WB_B, w, atol=1e-12)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_attitude_error_points_from_desired_to_actual(axis):
+    # B is D turned by +0.01 rad about one axis: the error is +0.01 there, so that the
+    # torque -k e_R turns back.
+    rpy = np.zeros(3)
+    rpy[axis] = 0.01
+    R_WD = RollPitchYaw(0.3, -0.2, 1.0).ToRotationMatrix()
+    R_WB = R_WD @ RollPitchYaw(rpy).ToRotationMatrix()
+    error = CalcAttitudeError(columns(R_WD.matrix()), columns(R_WB.matrix()))
+    np.testing.assert_allclose(error, rpy, atol=1e-6)
+
+
+@given(
+    st.tuples(*[st.floats(-100.0, 100.0)] * 3),
+    st.sampled_from([1.05, 1.5, 4.1]),
+)
+def test_limited_thrust_can_be_pointed_and_given(F, thrust_to_weight):
+    parameters = QuadrotorParameters(thrust_to_weight=thrust_to_weight)
+    x, y, z = limited = np.array(LimitThrust(math, parameters, F))
+    spare = (thrust_to_weight - 1.0) * parameters.weight
+    assert math.hypot(x, y) <= math.tan(MAX_TILT) * z * (1.0 + 1e-12)
+    assert np.linalg.norm(limited) <= (parameters.weight + THRUST_SHARE * spare) * (1 + 1e-12)
+    assert (
+        MIN_LIFT * parameters.weight
+        <= z
+        <= (parameters.weight + LIFT_SHARE * spare) * (1 + 1e-12)
+    )
+    # Sideways the direction is kept.
+    assert x * F[1] - y * F[0] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_thrust_within_the_limits_is_not_changed():
+    assert LimitThrust(math, PARAMETERS, (3.0, -2.0, 5.0)) == (3.0, -2.0, 5.0)
+
+
+def test_desired_rates_are_limited():
+    F, fast, faster = (0.0, 0.0, 4.5), (900.0, 0.0, 0.0), (0.0, 9e5, 0.0)
+    _, w, alpha = CalcDesiredAttitude(math, F, fast, faster, 0.0)
+    assert np.linalg.norm(w) == pytest.approx(MAX_DESIRED_RATE)
+    assert np.linalg.norm(alpha) == pytest.approx(MAX_DESIRED_ANGULAR_ACCELERATION)
+
+
+def test_hover_needs_the_weight_and_no_torque():
+    thrust, torque = law(np.zeros(12), np.zeros(3), np.zeros(3))
+    assert thrust == pytest.approx(PARAMETERS.weight)
+    np.testing.assert_array_equal(torque, 0.0)
