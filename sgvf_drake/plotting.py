@@ -24,7 +24,9 @@ ERROR_FLOOR = 1e-4
 DPI = 150
 
 
-def new_figure(rows: int, columns: int, width: float, height: float) -> tuple[Figure, list[Axes]]:
+def new_figure(
+    rows: int, columns: int, width: float, height: float
+) -> tuple[Figure, list[Axes]]:
     """Returns a figure outside pyplot's global state, and its axes row by row.
 
     Args:
@@ -44,7 +46,9 @@ def plane_axes(axes: Axes, unit: str = "", title: str = "") -> None:
     axes.set(xlabel=f"x{suffix}", ylabel=f"y{suffix}", title=title, aspect="equal")
 
 
-def plot_field(axes: Axes, field: Field, box: tuple[FloatArray, FloatArray]) -> Sequence[Artist]:
+def plot_field(
+    axes: Axes, field: Field, box: tuple[FloatArray, FloatArray]
+) -> Sequence[Artist]:
     """Draws the stream lines of a planar field over a box."""
     lower, upper = box
     x = np.linspace(lower[0], upper[0], STREAM_RESOLUTION)
@@ -77,11 +81,19 @@ def plot_trajectories(
     if len(shown) > MAX_TRAJECTORIES:
         shown = shown[np.linspace(0, len(shown) - 1, MAX_TRAJECTORIES).astype(int)]
     artists: list[Artist] = []
-    for agents, color, label in ((shown, BLUE, "agent"), (np.flatnonzero(~good), RED, "failed")):
+    for agents, color, label in (
+        (shown, BLUE, "agent"),
+        (np.flatnonzero(~good), RED, "failed"),
+    ):
         for number, agent in enumerate(agents):
             x, y = positions[:, agent, 0], positions[:, agent, 1]
             artists += axes.plot(
-                x, y, color=color, linewidth=0.7, alpha=0.7, label=label if number == 0 else None
+                x,
+                y,
+                color=color,
+                linewidth=0.7,
+                alpha=0.7,
+                label=label if number == 0 else None,
             )
             artists += axes.plot(x[0], y[0], "o", color=color, markersize=2.5, alpha=0.7)
     return artists
@@ -102,7 +114,9 @@ def plot_cross_track(
     artists: list[Artist] = []
     low, middle, high = np.quantile(errors, [0.05, 0.5, 0.95], axis=1)
     artists.append(
-        axes.fill_between(times, low, high, color=BLUE, alpha=0.3, label="5 % to 95 % of agents")
+        axes.fill_between(
+            times, low, high, color=BLUE, alpha=0.3, label="5 % to 95 % of agents"
+        )
     )
     artists += axes.plot(times, middle, color=BLUE, label="median")
     artists += axes.plot(times, errors.max(axis=1), color=RED, linewidth=0.8, label="largest")
@@ -127,7 +141,11 @@ def plot_propeller_forces(axes: Axes, log: pd.DataFrame, limit: float) -> Sequen
     lines: list[Artist] = []
     for number, color in enumerate((BLUE, ORANGE, GREEN, RED), start=1):
         lines += axes.plot(
-            log["time"], log[f"force_{number}"], color=color, linewidth=0.8, label=f"$f_{number}$"
+            log["time"],
+            log[f"force_{number}"],
+            color=color,
+            linewidth=0.8,
+            label=f"$f_{number}$",
         )
     lines.append(axes.axhline(limit, color=GREY, linestyle="--", label="limit"))
     axes.set(xlabel="time [s]", ylabel="propeller force [N]", ylim=(0, 1.08 * limit))

@@ -12,7 +12,7 @@ from systems.diagrams import (
     SetHover,
     SetVehicleState,
 )
-from systems.guidance import GuidanceSystem, GuidanceSystem_
+from systems.guidance import FieldForSpeed, GuidanceSystem, GuidanceSystem_
 from systems.kinematic import (
     KinematicGuidance,
     KinematicGuidance_,
@@ -27,6 +27,7 @@ __all__ = [
     "DEFAULT_GAINS",
     "AddGuidance",
     "AddMotionCapture",
+    "FieldForSpeed",
     "Gains",
     "GuidanceParts",
     "GuidanceSystem",

@@ -12,7 +12,7 @@ from pydrake.systems.primitives import LogVectorOutput
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
 from sgvf_drake.fields.base import Field
 from systems.controller import Se3Controller
-from systems.guidance import DEFAULT_ALTITUDE, DEFAULT_SPEED, GuidanceSystem
+from systems.guidance import DEFAULT_ALTITUDE, DEFAULT_SPEED, FieldForSpeed, GuidanceSystem
 from systems.quadrotor import STATE_SIZE, QuadrotorParameters
 from systems.sensing import DEFAULT_SAMPLE_PERIOD, AddMotionCapture
 
@@ -49,7 +49,8 @@ def AddGuidance(
     """Makes a vehicle in a diagram follow a guiding vector field.
 
     Adds the systems "motion_capture", "guidance" and "controller" and connects them in a
-    loop with the plant.  Everything but the motion capture is direct feed-through.
+    loop with the plant.  Everything but the motion capture is direct feed-through.  The
+    field is widened to what the vehicle can turn at this speed; see `FieldForSpeed`.
 
     Name the plant "plant" to set the start with `SetHover` or `SetVehicleState`, which the
     motion capture then knows too.  Where only the plant's state is set, whatever is logged
@@ -80,7 +81,8 @@ def AddGuidance(
             )
         parameters = QuadrotorParameters.FromPlant(plant)
     guidance = builder.AddNamedSystem(
-        "guidance", GuidanceSystem(field, speed, altitude, feedforward)
+        "guidance",
+        GuidanceSystem(FieldForSpeed(field, speed), speed, altitude, feedforward),
     )
     controller = builder.AddNamedSystem("controller", Se3Controller(parameters))
     measured = AddMotionCapture(builder, plant.GetOutputPort("state"), sample_period)

@@ -9,7 +9,7 @@ from pydrake.systems.framework import BasicVector_, LeafSystem_, ValueProducer
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.fields.base import Field
+from sgvf_drake.fields.base import AdjustableField, Field
 from systems.quadrotor import STATE_SIZE
 from systems.scalars import (
     SCALARS,
@@ -35,8 +35,33 @@ of the altitude are -ALTITUDE_GAIN and -k_v."""
 MAX_CLIMB_RATE = 1.0
 """m/s, up and down."""
 
+MAX_APPROACH_RATE = 4.0
+"""1/s; how fast a flown field may ask a vehicle to turn toward the path.  A third of the
+attitude bandwidth of the default controller: beyond about 8 the flight oscillates across the
+path, below it costs nothing measurable."""
+
 VELOCITY_OFFSET = 6
 """Where v_WB starts in the state."""
+
+
+def FieldForSpeed(
+    field: Field, speed: float, max_approach_rate: float = MAX_APPROACH_RATE
+) -> Field:
+    """Returns the field, made wide enough for a vehicle at a speed.
+
+    Beside the path, a field asks a vehicle to turn at the rate speed / approach_length.
+    Where that is more than the rate allowed, the approach length grows; fields that cannot
+    be adjusted, or need not be, are returned as they are.
+
+    Args:
+        field: The field, in metres.
+        speed: In m/s.
+        max_approach_rate: In 1/s, well below the bandwidth of the vehicle's attitude.
+    """
+    if not isinstance(field, AdjustableField):
+        return field
+    needed = speed / max_approach_rate
+    return field.with_approach_length(needed) if needed > field.approach_length else field
 
 
 @TemplateSystem.define("GuidanceSystem_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]

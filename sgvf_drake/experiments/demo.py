@@ -1,7 +1,6 @@
 """The main job from end to end: the paper's first flight scenario."""
 
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import pandas as pd

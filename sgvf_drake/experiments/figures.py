@@ -34,7 +34,9 @@ def follow_figure(field: GuidingField, result: FollowResult, path: Path) -> None
         plotting.plot_field(axes[0], field, field.cloud.box)
     plotting.plot_trajectories(axes[0], result.positions, result.metrics.lapped)
     plotting.plot_waypoints(axes[0], field.cloud.points)
-    title = f"{result.metrics.lapped.sum()} of {result.positions.shape[1]} starts complete a lap"
+    title = (
+        f"{result.metrics.lapped.sum()} of {result.positions.shape[1]} starts complete a lap"
+    )
     plotting.plane_axes(axes[0], "unit of the waypoints", title)
     plotting.plot_cross_track(
         axes[1], result.times, result.errors, "unit of the waypoints", "s at unit speed"

@@ -14,7 +14,13 @@ from sgvf_drake.fields import FloatArray, GuidingField
 from sgvf_drake.metrics import follow_metrics
 from sgvf_drake.paths import Reference, ReferencePath, TreeReference
 from sgvf_drake.progress import Progress, no_progress
-from systems import MakeFlightDiagram, MakeSimulator, QuadrotorParameters, SetHover
+from systems import (
+    FieldForSpeed,
+    MakeFlightDiagram,
+    MakeSimulator,
+    QuadrotorParameters,
+    SetHover,
+)
 
 # The vehicle hovers this many U beside the path at the start.
 START_OFFSET = 0.5
@@ -103,7 +109,9 @@ class FlightResult:
             "motor_force_max_n": worst("motor_force_max_n", max),
             "motor_force_limit_n": self.parameters.max_propeller_force,
             "saturated_fraction": worst("saturated_fraction", max),
-            "saturated_fraction_after_take_off": worst("saturated_fraction_after_take_off", max),
+            "saturated_fraction_after_take_off": worst(
+                "saturated_fraction_after_take_off", max
+            ),
             "laps": worst("laps", min),
             "real_time_factor": worst("real_time_factor", min),
             "acceleration_demand_m_s2": self.feasibility.demand,
@@ -115,12 +123,15 @@ class FlightResult:
 def check_feasibility(
     field: GuidingField, reference: Reference, speed: float, parameters: QuadrotorParameters
 ) -> Feasibility:
-    """Compares the acceleration that the path demands with what the thrust allows."""
+    """Compares the acceleration that the path demands with what the thrust allows.
+
+    The demand is that of the field as it is flown; see `systems.FieldForSpeed`.
+    """
     if isinstance(reference, ReferencePath):
         points = np.concatenate([piece.sample(DEMAND_SAMPLES) for piece in reference.pieces])
     else:
         points = field.cloud.points
-    m, J = field.value_and_jacobian(points)
+    m, J = FieldForSpeed(field, speed).value_and_jacobian(points)
     turning = np.linalg.norm(np.einsum("nij,nj->ni", J, m), axis=1)
     return Feasibility(speed**2 * float(turning.max()), parameters.max_horizontal_acceleration)
 
@@ -156,7 +167,9 @@ def fly(
         raise ConfigurationError(f"the speed must be a positive number, not {speed}")
     if not (np.isfinite(laps) and laps >= 1):
         raise ConfigurationError(f"the number of laps must be at least 1, not {laps}")
-    diagram = MakeFlightDiagram(field, parameters, speed=speed, altitude=altitude, log_period=LOG_PERIOD)
+    diagram = MakeFlightDiagram(
+        field, parameters, speed=speed, altitude=altitude, log_period=LOG_PERIOD
+    )
     flights = []
     for piece in flown_pieces(reference, field.cloud.unit_length):
         start = hover_start(reference, piece, field.cloud.unit_length, altitude)
@@ -184,6 +197,7 @@ def hover_start(
     if isinstance(reference, TreeReference):
         points = reference.points[reference.pieces[piece].order]
     else:
+        assert isinstance(reference, ReferencePath)
         points = reference.pieces[piece].vertices
     outward = points[0] - points.mean(axis=0)
     outward /= max(float(np.linalg.norm(outward)), 1e-12)
@@ -210,7 +224,8 @@ def flight_log(diagram: Diagram, context: Context) -> pd.DataFrame:
         ("velocity_command_log", COMMAND_COLUMNS),
         ("propeller_force_log", FORCE_COLUMNS),
     ):
-        log = diagram.GetSubsystemByName(name).FindLog(context)
+        sink: Any = diagram.GetSubsystemByName(name)
+        log = sink.FindLog(context)
         tables.append(pd.DataFrame(log.data().T.copy(), columns=list(columns)))
     times = pd.Series(log.sample_times().copy(), name="time")
     return pd.concat([times, *tables], axis=1)
@@ -226,14 +241,14 @@ def _summarize(
 ) -> dict[str, Any]:
     positions = log[["x", "y", "z"][: field.dim]].to_numpy()[:, None, :]
     unit, box = field.cloud.unit_length, field.cloud.box
-    times = log["time"].to_numpy()
+    times = log["time"].to_numpy(dtype=np.float64)
     metrics = follow_metrics(times, positions, unit, box, reference, speed)
     figures = metrics.summary()
     last_lap = log.tail(max(int(metrics.samples[0]), 1))
     forces = log[list(FORCE_COLUMNS)].to_numpy()
     limit = parameters.max_propeller_force
     margin = SATURATION_MARGIN * limit
-    saturated = ((forces <= margin) | (forces >= limit - margin)).any(axis=1)
+    saturated = np.any((forces <= margin) | (forces >= limit - margin), axis=1)
     altitude_error = last_lap["z"] - altitude if field.dim == 2 else pd.Series([np.nan])
     return {
         "cross_track_rms_m": figures["cross_track_rms"],

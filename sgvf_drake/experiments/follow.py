@@ -105,7 +105,8 @@ def _simulate(
     context = simulator.get_mutable_context()
     SetPositions(diagram, context, starts)
     wall_s = advance(simulator, duration / unit, LOG_PERIOD, "follow", progress)
-    log = diagram.GetSubsystemByName("positions_log").FindLog(context)
+    sink: Any = diagram.GetSubsystemByName("positions_log")
+    log = sink.FindLog(context)
     positions = log.data().T.reshape(-1, *starts.shape)
     return log.sample_times() * unit, positions, wall_s
 

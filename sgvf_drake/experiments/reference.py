@@ -1,7 +1,7 @@
 """Against what a field is measured: a file, the true shape, or the cloud itself."""
 
 from collections.abc import Sequence
-from os import PathLike
+from pathlib import Path
 
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import GuidingField
@@ -10,7 +10,7 @@ from sgvf_drake.paths import Piece, Reference, ReferencePath, shape_path, tree_r
 
 def choose_reference(
     field: GuidingField,
-    file: str | PathLike[str] | None = None,
+    file: str | Path | None = None,
     columns: Sequence[str | int] | None = None,
     *,
     closed: bool | None = None,

@@ -1,5 +1,6 @@
 """The commands' work: train, follow and fly, each into a folder of results."""
 
+from dataclasses import asdict
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -73,7 +74,7 @@ def run_train(
             "restarts": result.restarts,
             "sigma": result.field.sigma,
             "gain": result.field.composition.gain,
-            "config": result.config.to_json(),
+            "settings": asdict(result.settings),
         }
         write_summary(folder, summary)
     return summary

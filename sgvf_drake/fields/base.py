@@ -2,8 +2,8 @@
 
 from typing import Protocol, runtime_checkable
 
-from numpy.typing import NDArray
 import numpy as np
+from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
@@ -32,3 +32,15 @@ class Field(Protocol):
         Only needed where a derivative of the acceleration feed-forward J_m v is taken,
         that is, under AutoDiffXd.
         """
+
+
+@runtime_checkable
+class AdjustableField(Field, Protocol):
+    """A field whose turn toward the path can be made wider."""
+
+    @property
+    def approach_length(self) -> float:
+        """The distance from the path over which m turns from approaching to following."""
+
+    def with_approach_length(self, length: float) -> Field:
+        """Returns the same field with another approach length."""

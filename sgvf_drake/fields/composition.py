@@ -120,7 +120,7 @@ class RobustComposition(Composition):
         return 1 / (1 + ratio ** (PROJECTION_POWER // 2))
 
     def _projection_slope(self, score_square: FloatArray, g: FloatArray) -> FloatArray:
-        """dg / d|S|^2."""
+        """Dg / d|S|^2."""
         half = PROJECTION_POWER // 2
         factor = (self.sigma / PROJECTION_RANGE) ** 2
         return -half * factor * (factor * score_square) ** (half - 1) * g**2

@@ -1,13 +1,16 @@
 """What a training run is asked to do: the recipe, and what the user overrides of it."""
 
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 import math
 from typing import Any, Literal, get_args
 
 from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.learning.scales import CloudScales
 
 Recipe = Literal["paper", "robust", "exact"]
 RECIPES: tuple[Recipe, ...] = get_args(Recipe)
+# k_s of the robust composition, in noise levels; it is the paper's 0.2 at a sigma of 0.1.
+GAIN_PER_SIGMA = 2.0
 
 
 @dataclass(frozen=True)
@@ -58,18 +61,28 @@ class TrainingConfig:
         for name in ("score_hidden", "tangent_hidden"):
             _check(name, getattr(self, name), lambda value: value and min(value) >= 1)
 
-    def resolved(self) -> "TrainingConfig":
-        """Returns the configuration with the recipe's values where nothing was given."""
+    def resolved(self, scales: CloudScales) -> "Settings":
+        """Returns every value of the run, for a cloud of these scales."""
         given = {name: value for name, value in asdict(self).items() if value is not None}
-        return TrainingConfig(**{**_DEFAULTS[self.recipe], **given})
+        defaults = _PAPER if self.recipe == "paper" else _ROBUST
+        values = {"sigma_min": scales.sigma_min, **defaults, **given}
+        values.setdefault("gain", GAIN_PER_SIGMA * values["sigma_min"])
+        return Settings(**values)
 
-    def to_json(self) -> dict[str, Any]:
-        """Returns the configuration as plain JSON values."""
-        return {
-            field.name: list(value) if isinstance(value, tuple) else value
-            for field in fields(self)
-            for value in [getattr(self, field.name)]
-        }
+
+@dataclass(frozen=True)
+class Settings:
+    """A `TrainingConfig` with every value filled in; the names mean the same."""
+
+    recipe: Recipe
+    seed: int
+    max_restarts: int
+    sigma_min: float
+    gain: float
+    score_hidden: tuple[int, ...]
+    score_iterations: int
+    tangent_hidden: tuple[int, ...]
+    tangent_iterations: int
 
 
 def _check(name: str, value: Any, is_valid: Any) -> None:
@@ -84,21 +97,18 @@ def _check(name: str, value: Any, is_valid: Any) -> None:
 # Paper, Section V-A: networks, iterations and k_s.  No restarts: it is there to be compared.
 _PAPER: dict[str, Any] = {
     "max_restarts": 0,
+    "sigma_min": 0.1,
     "gain": 0.2,
     "score_hidden": (64, 64, 64, 64),
     "score_iterations": 10_000,
     "tangent_hidden": (128,),
     "tangent_iterations": 10_000,
 }
+# The exact recipe shares them; it has no score network.
 _ROBUST: dict[str, Any] = {
     "max_restarts": 2,
     "score_hidden": (64, 64, 64, 64),
     "score_iterations": 1_500,
     "tangent_hidden": (64, 64, 64),
     "tangent_iterations": 1_200,
-}
-_DEFAULTS: dict[Recipe, dict[str, Any]] = {
-    "paper": _PAPER,
-    "robust": _ROBUST,
-    "exact": _ROBUST,
 }

@@ -1,6 +1,7 @@
 """The networks that are trained: SiLU perceptrons, with or without Fourier features."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 import torch
@@ -48,9 +49,7 @@ class Network(nn.Module):
         self.register_buffer("phases", draw @ offset)
         first = 2 * num_frequencies if self.has_features else num_inputs
         widths = [first, *hidden, num_outputs]
-        self.layers = nn.ModuleList(
-            nn.Linear(a, b) for a, b in zip(widths[:-1], widths[1:], strict=True)
-        )
+        self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(widths))
 
     def forward(self, z: Tensor) -> Tensor:
         """Evaluates the network: (n, inputs) -> (n, outputs)."""

@@ -21,14 +21,12 @@ class Optimization:
     Attributes:
         iterations: Number of steps.
         learning_rate: Its largest value.
-        batch_size: Samples of each step.
         warmup: Steps over which the learning rate rises linearly from zero.
         cosine: Whether it falls to zero along a half cosine after that.
     """
 
     iterations: int
     learning_rate: float
-    batch_size: int
     warmup: int = 0
     cosine: bool = False
 
@@ -69,7 +67,7 @@ def optimize(
         terms = losses()
         total = torch.stack(list(terms.values())).sum()
         optimizer.zero_grad(set_to_none=True)
-        total.backward()
+        torch.autograd.backward(total)
         optimizer.step()
         schedule.step()
         if iteration % RECORD_EVERY == 0 or iteration == settings.iterations - 1:

@@ -68,4 +68,3 @@ def _noise(points: FloatArray) -> float:
     fit = (design @ coefficients)[:, :, 0]
     residuals = ((across - fit) ** 2).sum(axis=1) / (count - 3)
     return float(np.sqrt(np.median(residuals)))
-

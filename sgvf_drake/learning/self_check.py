@@ -85,11 +85,14 @@ def _check_piece(field: GuidingField, points: FloatArray, piece: TracedPiece) ->
     starts = points[piece.order[first if piece.closed else [0]]]
     waypoints = points[piece.indices]
     # A field that is slow on its path (the paper's form) is given the time it needs.
-    speed = max(0.1, float(np.linalg.norm(field(field.cloud.points[piece.indices]), axis=1).mean()))
+    speed = max(
+        0.1, float(np.linalg.norm(field(field.cloud.points[piece.indices]), axis=1).mean())
+    )
     runs = _follow(field, starts, LENGTHS * piece.length / speed)
     reach = max(PASS_DISTANCE, field.sigma)
     completed = [
-        bool((cKDTree(run).query(waypoints)[0] <= reach).all()) for run in np.swapaxes(runs, 0, 1)
+        bool((cKDTree(run).query(waypoints)[0] <= reach).all())
+        for run in np.swapaxes(runs, 0, 1)
     ]
     return PieceCheck(piece.length * field.cloud.unit_length, len(starts), sum(completed))
 

@@ -35,6 +35,6 @@ def orientation_loss(v: Tensor, hint: Tensor) -> Tensor:
 
 
 def normalized_score(S: Tensor, gain: float) -> Tensor:
-    """s = tanh(k_s |S|) S / |S|, (n, d) (paper, Section III-B)."""
+    """S = tanh(k_s |S|) S / |S|, (n, d) (paper, Section III-B)."""
     norm = S.norm(dim=1, keepdim=True).clamp_min(EPSILON)
     return torch.tanh(gain * norm) * S / norm

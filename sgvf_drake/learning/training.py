@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 import time
 
 import numpy as np
@@ -19,7 +19,7 @@ from sgvf_drake.fields import (
     RobustComposition,
     ScoreNetwork,
 )
-from sgvf_drake.learning.config import TrainingConfig
+from sgvf_drake.learning.config import Settings, TrainingConfig
 from sgvf_drake.learning.networks import Network
 from sgvf_drake.learning.optimization import Optimization, optimize
 from sgvf_drake.learning.orientation import orientation_hint
@@ -35,18 +35,15 @@ from sgvf_drake.learning.tangent import Score, paper_tangent_loss, robust_tangen
 from sgvf_drake.paths import PointCloud, TracedPiece, trace_pieces
 from sgvf_drake.progress import Progress, no_progress
 
-# Paper, Section V-A, and its noise level at the data end.
+# Paper, Section V-A.
 PAPER_BATCH_SIZE = 512
 PAPER_LEARNING_RATE = 1e-3
-PAPER_SIGMA_MIN = 0.1
 
 ROBUST_BATCH_SIZE = 256
 ROBUST_SCORE_LEARNING_RATE = 1e-2
 ROBUST_TANGENT_LEARNING_RATE = 5e-3
 ROBUST_WARMUP = 50
 ROBUST_FREQUENCIES = 32
-# k_s of the robust composition, in noise levels; the paper's 0.2 at its sigma of 0.1.
-ROBUST_GAIN_PER_SIGMA = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +52,7 @@ class TrainingResult:
 
     Attributes:
         field: The field of the last attempt; check `self_check.passed`.
-        config: The configuration with every value filled in.
+        settings: The configuration with every value filled in.
         self_check: What following the field from the path itself showed.
         restarts: How many attempts failed their self-check before this one.
         history: Loss terms: columns stage, iteration, one a term, total.
@@ -64,7 +61,7 @@ class TrainingResult:
     """
 
     field: GuidingField
-    config: TrainingConfig
+    settings: Settings
     self_check: SelfCheck
     restarts: int
     history: pd.DataFrame
@@ -81,7 +78,7 @@ def train(
 
     After training, the field is followed from the path of every piece; where it does not
     complete a lap, training starts again with another seed, at most
-    ``config.max_restarts`` times.  A field that fails to the end is returned all the same,
+    ``max_restarts`` times.  A field that fails to the end is returned all the same,
     with ``self_check.passed`` false.
 
     Args:
@@ -89,20 +86,19 @@ def train(
         config: The recipe and its overrides; None: the robust recipe, seed 0.
         progress: Called with (stage, done, total) now and then.
     """
-    config = (config or TrainingConfig()).resolved()
-    assert config.max_restarts is not None
     wall, cpu = time.perf_counter(), time.process_time()
     points = cloud.normalize(cloud.points)
     pieces = trace_pieces(points)
-    for attempt in range(config.max_restarts + 1):
-        with _torch_session(config.seed, attempt):
-            field, history = _train_once(cloud, points, pieces, config, progress)
+    settings = (config or TrainingConfig()).resolved(cloud_scales(points, pieces))
+    for attempt in range(settings.max_restarts + 1):
+        with _torch_session(settings.seed, attempt):
+            field, history = _train_once(cloud, points, pieces, settings, progress)
         self_check = check_field(field)
         if self_check.passed:
             break
     return TrainingResult(
         field=field,
-        config=config,
+        settings=settings,
         self_check=self_check,
         restarts=attempt,
         history=history,
@@ -115,20 +111,20 @@ def _train_once(
     cloud: PointCloud,
     points: FloatArray,
     pieces: tuple[TracedPiece, ...],
-    config: TrainingConfig,
+    settings: Settings,
     progress: Progress,
 ) -> tuple[GuidingField, pd.DataFrame]:
-    fit = _fit_paper if config.recipe == "paper" else _fit_robust
-    parts = fit(points, pieces, config, progress)
+    fit = _fit_paper if settings.recipe == "paper" else _fit_robust
+    parts = fit(points, pieces, settings, progress)
     field = GuidingField(
         cloud=cloud,
-        sigma=parts.sigma,
+        sigma=settings.sigma_min,
         score_model=parts.score_model,
         tangent_network=parts.tangent.to_perceptron(),
         composition=parts.composition,
-        recipe=config.recipe,
-        seed=config.seed,
-        provenance={"training": config.to_json()},
+        recipe=settings.recipe,
+        seed=settings.seed,
+        provenance={"training": asdict(settings)},
     )
     return field, pd.concat(parts.histories, ignore_index=True)
 
@@ -137,7 +133,6 @@ def _train_once(
 class _Parts:
     """What an attempt leaves behind."""
 
-    sigma: float
     score_model: ScoreNetwork | GaussianMixture
     tangent: Network
     composition: Composition
@@ -147,33 +142,29 @@ class _Parts:
 def _fit_paper(
     points: FloatArray,
     pieces: tuple[TracedPiece, ...],
-    config: TrainingConfig,
+    settings: Settings,
     progress: Progress,
 ) -> _Parts:
     """Algorithms 1 and 2 to the letter; the spanning tree is not asked."""
-    assert config.score_hidden and config.tangent_hidden and config.gain
-    assert config.score_iterations and config.tangent_iterations
     dim = points.shape[1]
     data = torch.as_tensor(points, dtype=torch.float32)
-    sigma = config.sigma_min or PAPER_SIGMA_MIN
-    schedule = NoiseSchedule(sigma)
+    schedule = NoiseSchedule(settings.sigma_min)
     batch, rate = PAPER_BATCH_SIZE, PAPER_LEARNING_RATE
 
-    score = Network(dim + 1, config.score_hidden, dim)
+    score = Network(dim + 1, settings.score_hidden, dim)
     losses = paper_score_loss(score, data, schedule, batch)
-    settings = Optimization(config.score_iterations, rate, batch)
-    score_history = optimize(score, losses, settings, "score", progress)
+    steps = Optimization(settings.score_iterations, rate)
+    score_history = optimize(score, losses, steps, "score", progress)
 
-    tangent = Network(dim, config.tangent_hidden, dim)
+    tangent = Network(dim, settings.tangent_hidden, dim)
     frozen = _score_at_data_end(score, scale=1.0)
-    losses = paper_tangent_loss(tangent, frozen, data, schedule, config.gain, batch)
-    settings = Optimization(config.tangent_iterations, rate, batch)
-    tangent_history = optimize(tangent, losses, settings, "tangent", progress)
+    losses = paper_tangent_loss(tangent, frozen, data, schedule, settings.gain, batch)
+    steps = Optimization(settings.tangent_iterations, rate)
+    tangent_history = optimize(tangent, losses, steps, "tangent", progress)
     return _Parts(
-        sigma=sigma,
         score_model=ScoreNetwork(score.to_perceptron(), 1.0),
         tangent=tangent,
-        composition=PaperComposition(config.gain),
+        composition=PaperComposition(settings.gain),
         histories=[score_history, tangent_history],
     )
 
@@ -181,55 +172,51 @@ def _fit_paper(
 def _fit_robust(
     points: FloatArray,
     pieces: tuple[TracedPiece, ...],
-    config: TrainingConfig,
+    settings: Settings,
     progress: Progress,
 ) -> _Parts:
     """The robust recipe, and the exact one: the same tangent on the closed-form score."""
-    assert config.tangent_hidden and config.tangent_iterations
     dim = points.shape[1]
     data = torch.as_tensor(points, dtype=torch.float32)
-    sigma = config.sigma_min or cloud_scales(points, pieces).sigma_min
-    gain = config.gain or ROBUST_GAIN_PER_SIGMA * sigma
+    sigma = settings.sigma_min
     histories = []
     score_model: ScoreNetwork | GaussianMixture
-    if config.recipe == "exact":
+    if settings.recipe == "exact":
         score_model = GaussianMixture(points, sigma)
         frozen: Score = lambda x: mixture_score(x, sigma, data)  # noqa: E731
     else:
-        network, history = _fit_robust_score(data, sigma, config, progress)
+        network, history = _fit_robust_score(data, sigma, settings, progress)
         score_model = ScoreNetwork(network.to_perceptron(), sigma)
         frozen = _score_at_data_end(network, scale=sigma)
         histories.append(history)
 
     hint = torch.as_tensor(orientation_hint(points, pieces, sigma), dtype=torch.float32)
-    tangent = Network(dim, config.tangent_hidden, dim, ROBUST_FREQUENCIES)
+    tangent = Network(dim, settings.tangent_hidden, dim, ROBUST_FREQUENCIES)
     losses = robust_tangent_loss(tangent, frozen, data, hint, ROBUST_BATCH_SIZE)
-    settings = Optimization(
-        config.tangent_iterations,
+    steps = Optimization(
+        settings.tangent_iterations,
         ROBUST_TANGENT_LEARNING_RATE,
-        ROBUST_BATCH_SIZE,
         ROBUST_WARMUP,
         cosine=True,
     )
-    histories.append(optimize(tangent, losses, settings, "tangent", progress))
-    return _Parts(sigma, score_model, tangent, RobustComposition(gain, sigma), histories)
+    histories.append(optimize(tangent, losses, steps, "tangent", progress))
+    composition = RobustComposition(settings.gain, sigma)
+    return _Parts(score_model, tangent, composition, histories)
 
 
 def _fit_robust_score(
-    data: Tensor, sigma: float, config: TrainingConfig, progress: Progress
+    data: Tensor, sigma: float, settings: Settings, progress: Progress
 ) -> tuple[Network, pd.DataFrame]:
-    assert config.score_hidden and config.score_iterations
     dim = data.shape[1]
-    network = Network(dim + 1, config.score_hidden, dim, ROBUST_FREQUENCIES, has_time=True)
+    network = Network(dim + 1, settings.score_hidden, dim, ROBUST_FREQUENCIES, has_time=True)
     losses = robust_score_loss(network, data, NoiseSchedule(sigma), ROBUST_BATCH_SIZE)
-    settings = Optimization(
-        config.score_iterations,
+    steps = Optimization(
+        settings.score_iterations,
         ROBUST_SCORE_LEARNING_RATE,
-        ROBUST_BATCH_SIZE,
         ROBUST_WARMUP,
         cosine=True,
     )
-    return network, optimize(network, losses, settings, "score", progress)
+    return network, optimize(network, losses, steps, "score", progress)
 
 
 def _score_at_data_end(network: Network, scale: float) -> Score:

@@ -24,6 +24,12 @@ BoolArray = NDArray[np.bool_]
 CLOSING_TOLERANCE = 1e-9
 """First and last point of a file are the same when this close, in parts of the extent."""
 
+LONG_POLYLINE = 20
+"""A polyline of this many vertices whose ends meet is a loop, not an open polygon."""
+
+MEETING_STEPS = 2.0
+"""Ends meet within this many median distances of neighbouring vertices."""
+
 SAMPLES = 16_384
 """Samples of a whole reference that find the nearest segments, besides one a segment."""
 
@@ -257,8 +263,9 @@ class ReferencePath:
         Args:
             path: the file; see `sgvf_drake.paths.read_points`.
             columns: the columns to take.
-            closed: whether it is closed; by default, if its last point repeats its first.
-                Race tracks and the like are closed without repeating it: pass True.
+            closed: whether it is closed; by default, if its last point repeats its first,
+                or lies no farther from it than vertices of a long polyline lie apart, as
+                in the center lines of race tracks.
 
         Raises:
             PointCloudError: if the file, a line or a value cannot be used.
@@ -267,7 +274,8 @@ class ReferencePath:
         vertices = cloud.points
         gap = float(np.linalg.norm(vertices[-1] - vertices[0]))
         repeats = gap <= CLOSING_TOLERANCE * cloud.half_extent
-        closed = repeats if closed is None else closed
+        if closed is None:
+            closed = repeats or _ends_meet(vertices, gap)
         return cls((Piece(vertices[:-1] if closed and repeats else vertices, closed),))
 
     @property
@@ -310,6 +318,12 @@ class ReferencePath:
     def project(self, x: FloatArray) -> Projection:
         """Returns the nearest points of the path to `x` (n, d)."""
         return self._segments.project(x)
+
+
+def _ends_meet(vertices: FloatArray, gap: float) -> bool:
+    # Few vertices may be the corners of an open polygon, whose sides are as long as its gap.
+    steps = np.linalg.norm(np.diff(vertices, axis=0), axis=1)
+    return len(vertices) >= LONG_POLYLINE and gap <= MEETING_STEPS * float(np.median(steps))
 
 
 @dataclass(frozen=True, eq=False)
