@@ -93,12 +93,14 @@ def train(
 
     if (points is None) == (shape is None):
         raise ConfigurationError("give either --points FILE or --shape NAME")
+    # First, since it checks the seed that the shape needs too.
+    config = TrainingConfig(recipe=recipe.value, seed=seed)
+    chosen = _columns(columns, points, "--points")
     if points is not None:
-        cloud = PointCloud.read(points, _columns(columns))
+        cloud = PointCloud.read(points, chosen)
     else:
         assert shape is not None
         cloud, _ = make_shape(shape, num_points, noise, seed, sampling.value)
-    config = TrainingConfig(recipe=recipe.value, seed=seed)
     with _progress() as progress:
         summary = run_train(cloud, config, out, overwrite=overwrite, progress=progress)
     _print_training(summary)
@@ -121,7 +123,7 @@ def follow(
     from sgvf_drake.experiments import choose_reference, open_field, run_follow
 
     loaded = open_field(field)
-    chosen = choose_reference(loaded, reference, _columns(columns))
+    chosen = choose_reference(loaded, reference, _columns(columns, reference, "--reference"))
     with _progress() as progress:
         summary = run_follow(
             loaded,
@@ -152,7 +154,9 @@ def fly(
     from sgvf_drake.experiments import choose_reference, open_field, run_fly, scale_reference
 
     loaded = open_field(field)
-    path, kind = choose_reference(loaded, reference, _columns(columns))
+    path, kind = choose_reference(
+        loaded, reference, _columns(columns, reference, "--reference")
+    )
     metric = loaded.rescaled(scale)
     with _progress() as progress:
         summary = run_fly(
@@ -215,8 +219,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
         sys.exit(BAD_INPUT)
 
 
-def _columns(columns: str | None) -> list[str | int] | None:
-    return None if columns is None else [name.strip() for name in columns.split(",")]
+def _columns(columns: str | None, file: Path | None, option: str) -> list[str | int] | None:
+    if columns is None:
+        return None
+    if file is None:
+        raise ConfigurationError(f"--columns {columns} chooses columns of {option}; give both")
+    return [name.strip() for name in columns.split(",")]
 
 
 @contextmanager

@@ -38,6 +38,11 @@ DURATION_LAPS = 1.5
 DURATION_UNITS = 15.0
 """and for a way in of this many U: three half-sizes of the box."""
 
+JUMP = 1.0
+"""The nearest point of the path may run ahead of the agent by this many U in one sample, as
+where a corner is cut.  More is a jump to another strand, and what lies between is not
+counted as followed."""
+
 ROUNDING = 1e-6
 """A lap counts when this part of it is missing: a trajectory is sampled and rounded."""
 
@@ -105,7 +110,8 @@ def follow_metrics(
     """Measures how agents follow a path.
 
     An agent's tail is the longest end of its run in which it stays within
-    `SETTLE_DISTANCE` of one piece; L is the length of that piece.
+    `SETTLE_DISTANCE` of one piece without a `JUMP` to another strand of it; L is the
+    length of that piece.
 
     - With a true path, a lap is done when the arc length gained in the tail is at least L,
       either way around, and the last lap is the shortest end of the run with that gain.
@@ -237,12 +243,14 @@ def _tails(positions: FloatArray, unit_length: float, reference: Reference) -> _
     pieces = projection.piece.reshape(steps, agents)
     piece = pieces[-1]
     length = reference.lengths[piece]
-    away = (distance > SETTLE_DISTANCE * unit_length) | (pieces != piece)
-    first = np.where(away.any(axis=0), steps - np.argmax(away[::-1], axis=0), 0)
     step = np.diff(projection.arc.reshape(steps, agents), axis=0)
     period = np.where(reference.closed[piece] & (length > 0), length, np.inf)
     # An infinite period leaves the steps on open pieces as they are.
     step -= np.round(step / period) * np.where(np.isfinite(period), period, 0.0)
+    moved = np.linalg.norm(np.diff(positions, axis=0), axis=2)
+    away = (distance > SETTLE_DISTANCE * unit_length) | (pieces != piece)
+    away[:-1] |= np.abs(step) > moved + JUMP * unit_length
+    first = np.where(away.any(axis=0), steps - np.argmax(away[::-1], axis=0), 0)
     gain = np.zeros((steps, agents))
     gain[:-1] = np.cumsum(step[::-1], axis=0)[::-1]
     return _Tails(distance, piece, length, first, gain)

@@ -158,8 +158,8 @@ def fly(
         progress: Told how far each simulation is.
 
     Raises:
-        ConfigurationError: A value cannot be used, or the field is neither planar nor
-            spatial.
+        ConfigurationError: A value cannot be used, the field is neither planar nor
+            spatial, the reference is too short to be meant, or the vehicle lost control.
         NonFiniteValueError: A value in the loop became NaN or infinite.
     """
     parameters = parameters or QuadrotorParameters()
@@ -167,21 +167,39 @@ def fly(
         raise ConfigurationError(f"the speed must be a positive number, not {speed}")
     if not (np.isfinite(laps) and laps >= 1):
         raise ConfigurationError(f"the number of laps must be at least 1, not {laps}")
+    if not (np.isfinite(altitude) and altitude > 0):
+        raise ConfigurationError(f"the altitude must be a positive number, not {altitude}")
     diagram = MakeFlightDiagram(
         field, parameters, speed=speed, altitude=altitude, log_period=LOG_PERIOD
     )
+    pieces = flown_pieces(reference, field.cloud.unit_length)
+    if not pieces:
+        raise ConfigurationError(
+            f"nothing to fly: the reference is only {reference.longest:g} m long, "
+            f"the waypoints span {2 * field.cloud.half_extent:g} m"
+        )
+    feasibility = check_feasibility(field, reference, speed, parameters)
     flights = []
-    for piece in flown_pieces(reference, field.cloud.unit_length):
+    for piece in pieces:
         start = hover_start(reference, piece, field.cloud.unit_length, altitude)
         way_in = WAY_IN * field.cloud.unit_length
         duration = (laps * float(reference.lengths[piece]) + way_in) / speed
-        log, wall_s = simulate(diagram, start, duration, progress)
+        try:
+            log, wall_s = simulate(diagram, start, duration, progress)
+        except RuntimeError as error:
+            # The one sign that Drake's plant gives of a vehicle out of control.
+            if "gimbal-lock" not in str(error):
+                raise
+            raise ConfigurationError(
+                f"the quadrotor lost control on piece {piece + 1} at {speed:g} m/s, where "
+                f"the path demands {feasibility.demand:.1f} m/s^2 and the thrust allows "
+                f"{feasibility.limit:.1f} m/s^2; choose a lower speed"
+            ) from error
         errors = reference.project(log[["x", "y", "z"][: field.dim]].to_numpy()).distance
         log["cross_track_error"] = errors
         summary = _summarize(log, field, reference, speed, altitude, parameters)
         summary["real_time_factor"] = duration / wall_s
         flights.append(PieceFlight(piece, log, {"piece": piece, **summary}))
-    feasibility = check_feasibility(field, reference, speed, parameters)
     return FlightResult(flights, feasibility, parameters)
 
 
@@ -249,6 +267,7 @@ def _summarize(
     limit = parameters.max_propeller_force
     margin = SATURATION_MARGIN * limit
     saturated = np.any((forces <= margin) | (forces >= limit - margin), axis=1)
+    in_flight = saturated[times > TAKE_OFF_S]
     altitude_error = last_lap["z"] - altitude if field.dim == 2 else pd.Series([np.nan])
     return {
         "cross_track_rms_m": figures["cross_track_rms"],
@@ -258,7 +277,9 @@ def _summarize(
         "altitude_rms_m": float(np.sqrt((altitude_error**2).mean())),
         "motor_force_max_n": float(forces.max()),
         "saturated_fraction": float(saturated.mean()),
-        "saturated_fraction_after_take_off": float(saturated[times > TAKE_OFF_S].mean()),
+        "saturated_fraction_after_take_off": (
+            float(in_flight.mean()) if len(in_flight) else None
+        ),
         "laps": abs(float(metrics.laps[0])),
         "duration_s": float(times[-1]),
         "start_m": log[["x", "y", "z"]].iloc[0].tolist(),

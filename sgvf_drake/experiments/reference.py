@@ -5,7 +5,15 @@ from pathlib import Path
 
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import GuidingField
-from sgvf_drake.paths import Piece, Reference, ReferencePath, shape_path, tree_reference
+from sgvf_drake.paths import (
+    Piece,
+    PointCloud,
+    Reference,
+    ReferencePath,
+    TreeReference,
+    shape_path,
+    tree_reference,
+)
 
 
 def choose_reference(
@@ -46,6 +54,8 @@ def choose_reference(
 
 def scale_reference(reference: Reference, factor: float) -> Reference:
     """Returns the reference in another unit of length: positions times `factor`."""
+    if isinstance(reference, TreeReference):
+        return tree_reference(PointCloud(reference.points * factor))
     if not isinstance(reference, ReferencePath):
         raise TypeError(f"cannot scale a {type(reference).__name__}")
     return ReferencePath(

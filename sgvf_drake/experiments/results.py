@@ -1,7 +1,7 @@
 """Where results go: a folder that is written whole or not at all."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 import json
 import math
 import os
@@ -34,12 +34,16 @@ def result_folder(
         ConfigurationError: `out` cannot be a folder.
     """
     out = Path(out)
+    for folder in (out, *out.parents):
+        if folder.exists() and not folder.is_dir():
+            raise ConfigurationError(f"cannot write to {out}: {folder} is not a folder")
     clashes = [name for name in names if (out / name).exists()]
     if clashes and not overwrite:
         raise OutputExistsError(
             f"{out} already holds {', '.join(clashes)}; "
             "choose another --out, or pass --overwrite to replace them"
         )
+    made = [folder for folder in out.parents if not folder.exists()]
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         # Beside the target, on the same file system: then a move is a rename.
@@ -53,6 +57,10 @@ def result_folder(
         _move(temporary, out, written)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+        # Innermost first; where there are results, the folders are not empty and stay.
+        with suppress(OSError):
+            for folder in made:
+                folder.rmdir()
 
 
 def _move(source: Path, target: Path, names: Sequence[str]) -> None:

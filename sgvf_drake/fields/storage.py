@@ -27,6 +27,8 @@ from sgvf_drake.paths import PointCloud
 FORMAT = "sgvf_drake.field"
 VERSION = 1
 POINTS_KEY = "cloud.points"
+# Float64, as safetensors names it.
+DTYPE = "F64"
 
 Tensors = dict[str, FloatArray]
 
@@ -75,16 +77,21 @@ def load_field(path: str | os.PathLike[str]) -> GuidingField:
     try:
         with safe_open(path, framework="numpy") as file:
             metadata = file.metadata() or {}
-            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+            types = {key: file.get_slice(key).get_dtype() for key in file.keys()}  # noqa: SIM118
+            # NumPy has not every type of the format, and fails on the others.
+            tensors = {key: file.get_tensor(key) for key in types if types[key] == DTYPE}
     except SafetensorError as error:
         raise FieldFileError(f"{path}: not a whole safetensors file ({error})") from None
     if metadata.get("format") != FORMAT:
         raise FieldFileError(f"{path}: a safetensors file, but not a field of sgvf_drake")
     try:
+        for key, dtype in types.items():
+            if dtype != DTYPE or not np.isfinite(tensors[key]).all():
+                raise ValueError(f"tensor {key} is not all finite float64")
         return _field(json.loads(metadata["field"]), tensors)
     except KeyError as error:
         raise FieldFileError(f"{path}: {error.args[0]} is missing") from None
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, OverflowError, RecursionError) as error:
         raise FieldFileError(f"{path}: {error}") from None
 
 
@@ -107,34 +114,48 @@ def _header(field: GuidingField) -> dict[str, Any]:
     }
 
 
-def _field(header: Mapping[str, Any], tensors: Tensors) -> GuidingField:
+def _field(header: Any, tensors: Tensors) -> GuidingField:
+    if not isinstance(header, dict):
+        raise ValueError("the header is not a JSON object")
     if header["version"] != VERSION:
         raise ValueError(f"version {header['version']} of the format; this reads {VERSION}")
-    for key, tensor in tensors.items():
-        if tensor.dtype != np.float64 or not np.isfinite(tensor).all():
-            raise ValueError(f"tensor {key} is not all finite float64")
-    cloud = PointCloud(tensors[POINTS_KEY], header["shape"])
+    cloud = PointCloud(tensors[POINTS_KEY], _checked(header, "shape", str, type(None)))
     if cloud.digest != header["digest"]:
         raise ValueError("the waypoints are not those of the header's digest")
-    sigma = float(header["sigma"])
+    if (header["center"], header["unit_length"]) != (cloud.center.tolist(), cloud.unit_length):
+        raise ValueError("the normalisation is not that of the waypoints")
+    sigma = _positive(header, "sigma")
     return GuidingField(
         cloud=cloud,
         sigma=sigma,
         score_model=_score_model(header, tensors, cloud, sigma),
         tangent_network=_unpack("tangent", tensors, cloud.dim, cloud.dim),
         composition=_composition(header, sigma),
-        recipe=header["recipe"],
-        seed=header["seed"],
-        provenance=header["provenance"],
+        recipe=_checked(header, "recipe", str),
+        seed=_checked(header, "seed", int),
+        provenance=_checked(header, "provenance", dict),
     )
+
+
+def _checked(header: Mapping[str, Any], key: str, *types: type) -> Any:
+    if not isinstance(header[key], types):
+        raise ValueError(f"{key} cannot be {header[key]!r}")
+    return header[key]
+
+
+def _positive(header: Mapping[str, Any], key: str) -> float:
+    value = float(_checked(header, key, int, float))
+    if not (np.isfinite(value) and value > 0):
+        raise ValueError(f"{key} cannot be {value}")
+    return value
 
 
 def _composition(header: Mapping[str, Any], sigma: float) -> Composition:
     match header["composition"]:
         case "robust":
-            return RobustComposition(float(header["gain"]), sigma)
+            return RobustComposition(_positive(header, "gain"), sigma)
         case "paper":
-            return PaperComposition(float(header["gain"]))
+            return PaperComposition(_positive(header, "gain"))
         case other:
             raise ValueError(f"unknown composition {other!r}")
 
@@ -145,7 +166,7 @@ def _score_model(
     if header["score_scale"] is None:
         return GaussianMixture(cloud.normalize(cloud.points), sigma)
     network = _unpack("score", tensors, cloud.dim + 1, cloud.dim)
-    return ScoreNetwork(network, float(header["score_scale"]))
+    return ScoreNetwork(network, _positive(header, "score_scale"))
 
 
 def _pack(prefix: str, network: Perceptron) -> Tensors:

@@ -9,9 +9,8 @@ from torch import Tensor, nn
 
 from sgvf_drake.fields import FourierFeatures, Perceptron
 
-# Standard deviation of the random frequencies (Tancik et al. 2020), for inputs that were
-# brought to about [-2, 2] and [-1, 1]: x / POSITION_SCALE and 2 t - 1.
-FREQUENCY_STD = 2.0
+# Random frequencies (Tancik et al. 2020) are drawn for inputs that were brought to about
+# [-2, 2] and [-1, 1]: x / POSITION_SCALE and 2 t - 1.
 POSITION_SCALE = 2.5
 
 
@@ -23,6 +22,7 @@ class Network(nn.Module):
         hidden: Widths of the hidden layers.
         num_outputs: Number of outputs.
         num_frequencies: Random Fourier features seen by the first layer; 0: z itself.
+        frequency_std: Their standard deviation, radians per unit of the scaled input.
         has_time: Whether the last input is a diffusion time in [0, 1].
     """
 
@@ -35,6 +35,7 @@ class Network(nn.Module):
         hidden: Sequence[int],
         num_outputs: int,
         num_frequencies: int = 0,
+        frequency_std: float = 1.0,
         has_time: bool = False,
     ) -> None:
         super().__init__()
@@ -44,7 +45,7 @@ class Network(nn.Module):
         offset = torch.zeros(num_inputs)
         if has_time:
             scale[-1], offset[-1] = 2.0, -1.0
-        draw = FREQUENCY_STD * torch.randn(num_frequencies, num_inputs)
+        draw = frequency_std * torch.randn(num_frequencies, num_inputs)
         self.register_buffer("frequencies", draw * scale)
         self.register_buffer("phases", draw @ offset)
         first = 2 * num_frequencies if self.has_features else num_inputs

@@ -47,7 +47,7 @@ def paper_tangent_loss(
         z = points[torch.randint(len(points), (batch_size,))]
         x = z + schedule(torch.rand(batch_size, 1)) * torch.randn_like(z)
         s = normalized_score(score(x), gain)
-        v, neighbours = _with_neighbours(network, x, PAPER_NEIGHBOURS)
+        v, neighbours = _with_neighbours(network, x, PAPER_NEIGHBOURS, NEIGHBOUR_NOISE)
         return {
             "unit": unit_length_loss(s, v),
             "orthogonality": orthogonality_loss(s, v),
@@ -58,7 +58,12 @@ def paper_tangent_loss(
 
 
 def robust_tangent_loss(
-    network: Network, score: Score, points: Tensor, hint: Tensor, batch_size: int
+    network: Network,
+    score: Score,
+    points: Tensor,
+    hint: Tensor,
+    sigma: float,
+    batch_size: int,
 ) -> Losses:
     """Orthogonality, directional consistency and agreement with the orientation hint.
 
@@ -69,17 +74,19 @@ def robust_tangent_loss(
         score: The raw score at t = 1, (n, d) -> (n, d).
         points: The waypoints, (N, d).
         hint: The orientation hint at the waypoints, (N, d); zero rows are left out.
+        sigma: The noise level of the score; neighbours are no farther.
         batch_size: Samples of a step.
     """
     in_box = round(BOX_SHARE * batch_size)
+    noise = min(NEIGHBOUR_NOISE, sigma)
     oriented = torch.nonzero(hint.square().sum(dim=1) > 0).squeeze(1)
 
     def losses() -> dict[str, Tensor]:
         chosen = oriented[torch.randint(len(oriented), (batch_size - in_box,))]
-        near = points[chosen] + NEIGHBOUR_NOISE * torch.randn(len(chosen), points.shape[1])
+        near = points[chosen] + noise * torch.randn(len(chosen), points.shape[1])
         box = BOX_HALF_SIZE * (2 * torch.rand(in_box, points.shape[1]) - 1)
         x = torch.cat([near, box])
-        v, neighbours = _with_neighbours(network, x, ROBUST_NEIGHBOURS)
+        v, neighbours = _with_neighbours(network, x, ROBUST_NEIGHBOURS, noise)
         return {
             "unit": UNIT_WEIGHT * unit_length_loss(torch.zeros_like(v), v),
             "orthogonality": orthogonality_loss(score(x), v),
@@ -90,9 +97,11 @@ def robust_tangent_loss(
     return losses
 
 
-def _with_neighbours(network: Network, x: Tensor, count: int) -> tuple[Tensor, Tensor]:
+def _with_neighbours(
+    network: Network, x: Tensor, count: int, noise: float
+) -> tuple[Tensor, Tensor]:
     """Returns the tangent at x, (n, d), and at `count` noisy copies, (count, n, d)."""
-    copies = x + NEIGHBOUR_NOISE * torch.randn(count, *x.shape)
+    copies = x + noise * torch.randn(count, *x.shape)
     v = network(torch.cat([x[None], copies]).flatten(0, 1))
     v = v.unflatten(0, (count + 1, len(x)))
     return v[0], v[1:]

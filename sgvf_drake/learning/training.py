@@ -191,8 +191,10 @@ def _fit_robust(
         histories.append(history)
 
     hint = torch.as_tensor(orientation_hint(points, pieces, sigma), dtype=torch.float32)
-    tangent = Network(dim, settings.tangent_hidden, dim, ROBUST_FREQUENCIES)
-    losses = robust_tangent_loss(tangent, frozen, data, hint, ROBUST_BATCH_SIZE)
+    tangent = Network(
+        dim, settings.tangent_hidden, dim, ROBUST_FREQUENCIES, settings.frequency_std
+    )
+    losses = robust_tangent_loss(tangent, frozen, data, hint, sigma, ROBUST_BATCH_SIZE)
     steps = Optimization(
         settings.tangent_iterations,
         ROBUST_TANGENT_LEARNING_RATE,
@@ -208,7 +210,14 @@ def _fit_robust_score(
     data: Tensor, sigma: float, settings: Settings, progress: Progress
 ) -> tuple[Network, pd.DataFrame]:
     dim = data.shape[1]
-    network = Network(dim + 1, settings.score_hidden, dim, ROBUST_FREQUENCIES, has_time=True)
+    network = Network(
+        dim + 1,
+        settings.score_hidden,
+        dim,
+        ROBUST_FREQUENCIES,
+        settings.frequency_std,
+        has_time=True,
+    )
     losses = robust_score_loss(network, data, NoiseSchedule(sigma), ROBUST_BATCH_SIZE)
     steps = Optimization(
         settings.score_iterations,

@@ -1,0 +1,102 @@
+"""Fields that several test packages share: small random ones, and trained ones."""
+
+import numpy as np
+import pytest
+
+from sgvf_drake.fields import (
+    FourierFeatures,
+    GaussianMixture,
+    GuidingField,
+    PaperComposition,
+    Perceptron,
+    RobustComposition,
+    ScoreNetwork,
+)
+from sgvf_drake.paths import PointCloud, make_shape
+
+RECIPES = ("robust", "exact", "paper")
+
+
+def random_perceptron(rng, inputs, hidden, outputs, num_frequencies=0):
+    """A network of order-one outputs and slopes; NumPy only."""
+    features = None
+    widths = [inputs, *hidden, outputs]
+    if num_frequencies:
+        features = FourierFeatures(
+            rng.standard_normal((num_frequencies, inputs)), rng.uniform(-3, 3, num_frequencies)
+        )
+        widths[0] = 2 * num_frequencies
+    weights = [
+        rng.standard_normal((b, a)) / np.sqrt(a)
+        for a, b in zip(widths[:-1], widths[1:], strict=True)
+    ]
+    biases = [rng.standard_normal(width) for width in widths[1:]]
+    return Perceptron(tuple(weights), tuple(biases), features)
+
+
+def random_field(recipe, dim=2, seed=0, sigma=0.4, gain=0.8):
+    """A field of the form of a recipe with untrained networks, off the origin and the unit."""
+    rng = np.random.default_rng(seed)
+    frequencies = 0 if recipe == "paper" else 6
+    cloud = PointCloud(3 + 2 * rng.uniform(-1, 1, (30, dim)), shape="random")
+    score_model = (
+        GaussianMixture(cloud.normalize(cloud.points), sigma)
+        if recipe == "exact"
+        else ScoreNetwork(
+            random_perceptron(rng, dim + 1, (9, 8), dim, frequencies),
+            1.0 if recipe == "paper" else sigma,
+        )
+    )
+    composition = (
+        PaperComposition(gain) if recipe == "paper" else RobustComposition(gain, sigma)
+    )
+    return GuidingField(
+        cloud=cloud,
+        sigma=sigma,
+        score_model=score_model,
+        tangent_network=random_perceptron(rng, dim, (7,), dim, frequencies),
+        composition=composition,
+        recipe=recipe,
+        seed=seed,
+        provenance={"training": {"iterations": 7, "hidden": [9, 8]}},
+    )
+
+
+@pytest.fixture(scope="session")
+def make_perceptron():
+    """Makes random networks: (rng, inputs, hidden, outputs, num_frequencies=0)."""
+    return random_perceptron
+
+
+@pytest.fixture(scope="session")
+def make_field():
+    """Makes untrained fields: (recipe, dim=2, seed=0, sigma=0.4, gain=0.8)."""
+    return random_field
+
+
+@pytest.fixture(scope="session", params=RECIPES)
+def field(request):
+    """An untrained planar field of each recipe."""
+    return random_field(request.param)
+
+
+@pytest.fixture(scope="session")
+def concentric():
+    """The headline cloud, 200 clean waypoints, and its true path."""
+    return make_shape("concentric-circles")
+
+
+@pytest.fixture(scope="session")
+def robust_result(concentric):
+    """The default training of the headline cloud, in about 6 s."""
+    from sgvf_drake.learning import train
+
+    return train(concentric[0])
+
+
+@pytest.fixture(scope="session")
+def exact_result(concentric):
+    """The same with the closed-form score, in about 3 s."""
+    from sgvf_drake.learning import TrainingConfig, train
+
+    return train(concentric[0], TrainingConfig(recipe="exact"))
