@@ -15,6 +15,7 @@ from typing import Annotated, Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
+from rich.text import Text
 import typer
 
 from sgvf_drake import __version__
@@ -288,9 +289,11 @@ def _print_flight(summary: Mapping[str, Any]) -> None:
     demand, limit = summary["acceleration_demand_m_s2"], summary["acceleration_limit_m_s2"]
     verdict = "feasible" if demand < limit else "NOT feasible"
     table = Table(title="Flight", title_justify="left")
-    headings = ("piece", "RMS [m]", "max [m]", "speed [m/s]", "altitude RMS [m]")
-    for heading in (*headings, "largest force [N]", "saturated", "laps", "real-time factor"):
-        table.add_column(heading, justify="right")
+    # Broken so that the table fits in 80 columns.
+    headings = ("piece", "RMS\n[m]", "max\n[m]", "speed\n[m/s]", "altitude\nRMS [m]")
+    for heading in (*headings, "force\n[N]", "satu-\nrated", "laps", "x real\ntime"):
+        # As text, since "[m]" would be markup.
+        table.add_column(Text(heading), justify="right")
     for piece in summary["pieces"]:
         table.add_row(
             str(piece["piece"] + 1),

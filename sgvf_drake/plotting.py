@@ -18,6 +18,8 @@ BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
 GREY = "#808080"
 STREAM_RESOLUTION = 60
 MAX_TRAJECTORIES = 60
+# More waypoints than this are drawn smaller, so that what follows them still shows.
+FEW_WAYPOINTS = 400
 # The smallest cross-track error that is drawn, relative to the largest.
 ERROR_FLOOR = 1e-4
 # File size and sharpness of every saved figure.
@@ -64,8 +66,9 @@ def plot_field(
 
 def plot_waypoints(axes: Axes, points: FloatArray) -> Sequence[Artist]:
     """Draws waypoints (N, d), first two coordinates."""
+    size = 2.5 if len(points) <= FEW_WAYPOINTS else 0.8
     return axes.plot(
-        points[:, 0], points[:, 1], ".", color="black", markersize=2.5, label="waypoints"
+        points[:, 0], points[:, 1], ".", color="black", markersize=size, label="waypoints"
     )
 
 
@@ -105,7 +108,8 @@ def plot_cross_track(
     """Draws cross-track errors (T, n) over time: one line, or the spread of many agents."""
     # A logarithmic axis shows the way in and the steady state; what crosses the path
     # exactly would run off it.
-    errors = np.maximum(errors, ERROR_FLOOR * max(float(errors.max()), 1e-300))
+    largest = max(float(errors.max()), float(np.finfo(np.float64).eps))
+    errors = np.maximum(errors, ERROR_FLOOR * largest)
     suffix = f" [{unit}]" if unit else ""
     axes.set(xlabel=f"time [{time_unit}]", ylabel=f"cross-track error{suffix}", yscale="log")
     axes.grid(alpha=0.3)
@@ -131,7 +135,7 @@ def plot_velocity(axes: Axes, log: pd.DataFrame) -> Sequence[Artist]:
     speed = np.hypot(log["vx"], log["vy"])
     lines += axes.plot(log["time"], speed, color="black", linewidth=0.8, label="speed")
     axes.set(xlabel="time [s]", ylabel="velocity [m/s]")
-    axes.legend(loc="upper right", ncols=3)
+    axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=3, frameon=False)
     axes.grid(alpha=0.3)
     return lines
 

@@ -96,6 +96,9 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
         in m); see `SetSpeed` and `SetAltitude`.  Both outputs are direct feed-through, and
         both share one cached evaluation of the field.
 
+        A learned field may ask for quicker turns than the vehicle can fly; `AddGuidance`
+        passes it through `FieldForSpeed` first, and so should a diagram composed by hand.
+
         Args:
             field: The guiding field, of dimension 2 or 3, in metres.
             speed: In m/s, at which the field is followed.

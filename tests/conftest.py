@@ -1,5 +1,7 @@
 """Fields that several test packages share: small random ones, and trained ones."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -26,10 +28,7 @@ def random_perceptron(rng, inputs, hidden, outputs, num_frequencies=0):
             rng.standard_normal((num_frequencies, inputs)), rng.uniform(-3, 3, num_frequencies)
         )
         widths[0] = 2 * num_frequencies
-    weights = [
-        rng.standard_normal((b, a)) / np.sqrt(a)
-        for a, b in zip(widths[:-1], widths[1:], strict=True)
-    ]
+    weights = [rng.standard_normal((b, a)) / np.sqrt(a) for a, b in pairwise(widths)]
     biases = [rng.standard_normal(width) for width in widths[1:]]
     return Perceptron(tuple(weights), tuple(biases), features)
 

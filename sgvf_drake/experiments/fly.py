@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from pydrake.systems.framework import Context, Diagram
 
-from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
 from sgvf_drake.experiments.simulation import advance
 from sgvf_drake.fields import FloatArray, GuidingField
 from sgvf_drake.metrics import follow_metrics
@@ -186,9 +186,9 @@ def fly(
         duration = (laps * float(reference.lengths[piece]) + way_in) / speed
         try:
             log, wall_s = simulate(diagram, start, duration, progress)
-        except RuntimeError as error:
-            # The one sign that Drake's plant gives of a vehicle out of control.
-            if "gimbal-lock" not in str(error):
+        except (RuntimeError, NonFiniteValueError) as error:
+            # How Drake's plant shows that it is out of control: a pitch of 90 degrees.
+            if feasibility.is_feasible and "gimbal-lock" not in str(error):
                 raise
             raise ConfigurationError(
                 f"the quadrotor lost control on piece {piece + 1} at {speed:g} m/s, where "

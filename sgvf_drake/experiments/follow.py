@@ -74,14 +74,17 @@ def follow(
         progress: Told how far the simulation is.
 
     Raises:
-        ConfigurationError: The duration is not a positive number, or no start is asked for.
+        ConfigurationError: The duration is not one sample long, or no start is asked for.
         NonFiniteValueError: The field is not finite somewhere on the way.
     """
     unit = field.cloud.unit_length
     if duration is None:
         duration = default_duration(reference, unit)
-    if not (np.isfinite(duration) and duration > 0):
-        raise ConfigurationError(f"the duration must be a positive number, not {duration}")
+    sample = LOG_PERIOD * unit
+    if not (np.isfinite(duration) and duration >= sample):
+        raise ConfigurationError(
+            f"the duration must be a number of at least {sample:.3g} s, not {duration}"
+        )
     grid = grid_starts(field.cloud.box, starts, field.dim)
     times, positions, wall_s = _simulate(field, grid, duration, progress)
     errors = reference.project(positions.reshape(-1, field.dim)).distance

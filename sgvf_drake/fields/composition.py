@@ -128,7 +128,7 @@ class RobustComposition(Composition):
 
 def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
     # Not np.vdot or a norm: no conjugate, so that a complex step passes through.
-    return np.einsum("ni,ni->n", a, b)
+    return (a[:, None, :] @ b[:, :, None])[:, 0, 0]
 
 
 def _outer(a: FloatArray, b: FloatArray) -> FloatArray:

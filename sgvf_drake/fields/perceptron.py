@@ -19,13 +19,16 @@ class FourierFeatures:
     frequencies: FloatArray
     phases: FloatArray
 
-    def value_and_jacobian(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Returns the features (n, 2F) and their derivatives (n, inputs, 2F)."""
+    def jet(self, z: FloatArray) -> FloatArray:
+        """Returns the features and their derivatives by each input, (n, 1 + inputs, 2F)."""
         angles = z @ self.frequencies.T + self.phases
         sine, cosine = np.sin(angles), np.cos(angles)
-        slopes = np.concatenate([cosine, -sine], axis=1)
-        directions = np.concatenate([self.frequencies, self.frequencies]).T
-        return np.concatenate([sine, cosine], axis=1), slopes[:, None, :] * directions
+        F = len(self.phases)
+        jet = np.empty((len(z), 1 + z.shape[1], 2 * F), angles.dtype)
+        jet[:, 0, :F], jet[:, 0, F:] = sine, cosine
+        jet[:, 1:, :F] = cosine[:, None, :] * self.frequencies.T
+        jet[:, 1:, F:] = -sine[:, None, :] * self.frequencies.T
+        return jet
 
     def __call__(self, z: FloatArray) -> FloatArray:
         """Returns the features: (n, inputs) -> (n, 2F)."""
@@ -67,19 +70,22 @@ class Perceptron:
         The derivatives ride along with the values, one column for each input (forward
         mode): cheaper than a backward pass where inputs are as few as outputs.
         """
+        # Rows of a jet: the value, then its derivative by each input.  One product a layer.
         if self.features is None:
-            hidden = z
-            tangents = np.broadcast_to(np.eye(z.shape[1]), (len(z), z.shape[1], z.shape[1]))
+            slopes = np.broadcast_to(np.eye(z.shape[1]), (*z.shape, z.shape[1]))
+            jet = np.concatenate([z[:, None, :], slopes], axis=1)
         else:
-            hidden, tangents = self.features.value_and_jacobian(z)
+            jet = self.features.jet(z)
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
-            before = hidden @ weight.T + bias
+            jet = jet @ weight.T
+            before = jet[:, 0] + bias
             gate = _sigmoid(before)
-            hidden = before * gate
-            slope = gate + hidden * (1 - gate)
-            tangents = (tangents @ weight.T) * slope[:, None, :]
-        outputs = hidden @ self.weights[-1].T + self.biases[-1]
-        return outputs, np.swapaxes(tangents @ self.weights[-1].T, 1, 2)
+            value = before * gate
+            slope = gate + value * (1 - gate)
+            jet *= slope[:, None, :]
+            jet[:, 0] = value
+        jet = jet @ self.weights[-1].T
+        return jet[:, 0] + self.biases[-1], np.swapaxes(jet[:, 1:], 1, 2)
 
     def with_last_input(self, value: float) -> "Perceptron":
         """Returns the network of the other inputs, the last one held at `value`."""
@@ -94,7 +100,5 @@ class Perceptron:
 
 
 def _sigmoid(z: FloatArray) -> FloatArray:
-    # Clipping the real part keeps exp finite; beyond it the value is 0 or 1 to the last bit.
-    if np.iscomplexobj(z):
-        return 1 / (1 + np.exp(-(np.clip(z.real, -700, 700) + 1j * z.imag)))
-    return 1 / (1 + np.exp(-np.clip(z, -700, 700)))
+    # By tanh, which cannot overflow, is fast on batches, and takes complex numbers too.
+    return 0.5 + 0.5 * np.tanh(0.5 * z)

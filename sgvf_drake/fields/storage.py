@@ -24,7 +24,9 @@ from sgvf_drake.fields.mixture import GaussianMixture
 from sgvf_drake.fields.perceptron import FourierFeatures, Perceptron
 from sgvf_drake.paths import PointCloud
 
-FORMAT = "sgvf_drake.field"
+# The only entry of the metadata, which safetensors writes in random order: with one, equal
+# fields are equal files.
+HEADER_KEY = "sgvf_drake.field"
 VERSION = 1
 POINTS_KEY = "cloud.points"
 # Float64, as safetensors names it.
@@ -49,7 +51,7 @@ def save_field(
     if isinstance(field.score_model, ScoreNetwork):
         tensors |= _pack("score", field.score_model.network)
     contiguous = {key: np.ascontiguousarray(value) for key, value in tensors.items()}
-    data = save(contiguous, {"format": FORMAT, "field": json.dumps(_header(field))})
+    data = save(contiguous, {HEADER_KEY: json.dumps(_header(field))})
     # In the folder of the target, so that the last step is an atomic rename.
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:
@@ -82,13 +84,13 @@ def load_field(path: str | os.PathLike[str]) -> GuidingField:
             tensors = {key: file.get_tensor(key) for key in types if types[key] == DTYPE}
     except SafetensorError as error:
         raise FieldFileError(f"{path}: not a whole safetensors file ({error})") from None
-    if metadata.get("format") != FORMAT:
+    if HEADER_KEY not in metadata:
         raise FieldFileError(f"{path}: a safetensors file, but not a field of sgvf_drake")
     try:
         for key, dtype in types.items():
             if dtype != DTYPE or not np.isfinite(tensors[key]).all():
                 raise ValueError(f"tensor {key} is not all finite float64")
-        return _field(json.loads(metadata["field"]), tensors)
+        return _field(json.loads(metadata[HEADER_KEY]), tensors)
     except KeyError as error:
         raise FieldFileError(f"{path}: {error.args[0]} is missing") from None
     except (ValueError, TypeError, OverflowError, RecursionError) as error:

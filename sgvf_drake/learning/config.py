@@ -131,6 +131,7 @@ _CONVERT: dict[str, Callable[[Any], Any]] = {
     "max_restarts": _natural,
     "sigma_min": _positive,
     "gain": _positive,
+    "frequency_std": _positive,
     "score_hidden": _widths,
     "score_iterations": _count,
     "tangent_hidden": _widths,

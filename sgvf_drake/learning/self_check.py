@@ -14,6 +14,8 @@ from sgvf_drake.paths import TracedPiece, trace_pieces
 STARTS = 4
 # A run has time for this many lengths of its piece.
 LENGTHS = 1.5
+# |m| below this is a stall, and gets no more time.
+SLOWEST = 0.1
 # A waypoint counts as passed within this many U, or one noise level where that is more.
 PASS_DISTANCE = 0.3
 # Pieces of fewer waypoints are stray points, not a path.
@@ -85,10 +87,9 @@ def _check_piece(field: GuidingField, points: FloatArray, piece: TracedPiece) ->
     starts = points[piece.order[first if piece.closed else [0]]]
     waypoints = points[piece.indices]
     # A field that is slow on its path (the paper's form) is given the time it needs.
-    speed = max(
-        0.1, float(np.linalg.norm(field(field.cloud.points[piece.indices]), axis=1).mean())
-    )
-    runs = _follow(field, starts, LENGTHS * piece.length / speed)
+    speeds = np.linalg.norm(field(field.cloud.points[piece.indices]), axis=1)
+    slowness = float((1 / np.maximum(speeds, SLOWEST)).mean())
+    runs = _follow(field, starts, LENGTHS * piece.length * slowness)
     reach = max(PASS_DISTANCE, field.sigma)
     completed = [
         bool((cKDTree(run).query(waypoints)[0] <= reach).all())

@@ -1,0 +1,83 @@
+"""One field for flight, trained once on the closed-form score, and what it did."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from sgvf_drake.experiments import fly, follow
+from sgvf_drake.learning import TrainingConfig, train
+from sgvf_drake.paths import PointCloud, make_shape, shape_path
+
+SHAPE = "concentric-flight"
+
+
+class ConstantField:
+    """A field that knows nothing of its cloud: everywhere the same value."""
+
+    sigma = 0.1
+    recipe, seed = "none", 0
+
+    def __init__(self, cloud, value):
+        self.cloud = cloud
+        self.value = np.array(value, dtype=np.float64)
+
+    @property
+    def dim(self):
+        return self.cloud.dim
+
+    def __call__(self, x):
+        return np.broadcast_to(self.value, x.shape).copy()
+
+    def value_and_jacobian(self, x):
+        return self(x), np.zeros((*x.shape, self.dim))
+
+
+@pytest.fixture(scope="session")
+def constant_field():
+    """Makes a constant field: (cloud, value)."""
+    return ConstantField
+
+
+@pytest.fixture(scope="session")
+def circle_of_points():
+    """Makes clouds on a circle: (radius, num_points=40), phase 0, no true shape."""
+
+    def make(radius, num_points=40):
+        angle = 2 * np.pi * np.arange(num_points) / num_points
+        return PointCloud(radius * np.column_stack([np.cos(angle), np.sin(angle)]))
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def rings():
+    """The true path: circles of 1 m and 2 m."""
+    return shape_path(SHAPE)
+
+
+@pytest.fixture(scope="session")
+def flight_result():
+    """The training on the two circles of the paper's first flight."""
+    return train(make_shape(SHAPE)[0], TrainingConfig(recipe="exact", seed=0))
+
+
+@pytest.fixture(scope="session")
+def flight_field(flight_result):
+    """Its field, in metres."""
+    return flight_result.field
+
+
+@pytest.fixture(scope="session")
+def followed(flight_field, rings):
+    """Sixteen agents that follow it."""
+    return follow(flight_field, rings, starts=16)
+
+
+@pytest.fixture(scope="session")
+def flown(flight_field, rings):
+    """The flights along both circles, slow and fast."""
+    return SimpleNamespace(
+        slow=fly(flight_field, rings, speed=0.45, laps=1.2),
+        fast=fly(flight_field, rings, speed=2.0, laps=1.5),
+    )

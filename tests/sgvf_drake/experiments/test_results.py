@@ -1,0 +1,177 @@
+"""Folders of results: whole or not at all."""
+
+import json
+import math
+import os
+
+import numpy as np
+import pytest
+
+from sgvf_drake.exceptions import ConfigurationError, OutputExistsError
+from sgvf_drake.experiments.results import result_folder, write_summary
+
+NAMES = ("summary.json", "data.csv", "part")
+
+
+class WorkError(Exception):
+    """The work fails."""
+
+
+def write(folder, text):
+    (folder / "data.csv").write_text(text)
+    (folder / "part").mkdir()
+    (folder / "part" / "inner.txt").write_text(text)
+
+
+def tree(folder):
+    """Every file and folder below, hidden ones too, with the text of files."""
+    return {
+        str(path.relative_to(folder)): path.read_text() if path.is_file() else None
+        for path in folder.rglob("*")
+    }
+
+
+def test_results_appear_when_they_are_whole(tmp_path):
+    out = tmp_path / "out"
+    with result_folder(out, NAMES) as folder:
+        write(folder, "new")
+        assert not out.exists()
+        # On the same file system, where a move is a rename.
+        assert folder.parent == tmp_path
+    expected = {"out": None, "out/data.csv": "new"}
+    assert tree(tmp_path) == {**expected, "out/part": None, "out/part/inner.txt": "new"}
+
+
+@pytest.mark.parametrize("error", [WorkError, KeyboardInterrupt])
+@pytest.mark.parametrize("out", ["out", "a/b/out"])
+def test_a_failure_leaves_nothing(tmp_path, error, out):
+    def work():
+        with result_folder(tmp_path / out, NAMES) as folder:
+            write(folder, "half")
+            raise error
+
+    with pytest.raises(error):
+        work()
+    assert tree(tmp_path) == {}
+
+
+def test_a_failure_leaves_older_results_alone(tmp_path):
+    out = tmp_path / "out"
+    with result_folder(out, NAMES) as folder:
+        write(folder, "old")
+    before = tree(tmp_path)
+
+    def work():
+        with result_folder(out, NAMES, overwrite=True) as folder:
+            write(folder, "half")
+            raise WorkError
+
+    with pytest.raises(WorkError):
+        work()
+    assert tree(tmp_path) == before
+
+
+def test_a_clash_is_found_before_the_work(tmp_path):
+    (tmp_path / "data.csv").write_text("precious")
+    with pytest.raises(OutputExistsError, match=r"already holds data\.csv; .*--overwrite"):  # noqa: SIM117
+        with result_folder(tmp_path, NAMES):
+            pytest.fail("the work began")
+    assert tree(tmp_path) == {"data.csv": "precious"}
+
+
+def test_overwriting_replaces_the_results_and_nothing_else(tmp_path):
+    out = tmp_path / "out"
+    with result_folder(out, NAMES) as folder:
+        write(folder, "old")
+        (folder / "part" / "stale.txt").write_text("old")
+    (out / "notes.txt").write_text("mine")
+    with result_folder(out, NAMES, overwrite=True) as folder:
+        write(folder, "new")
+    assert tree(out) == {
+        "data.csv": "new",
+        "part": None,
+        "part/inner.txt": "new",
+        "notes.txt": "mine",
+    }
+
+
+def test_files_of_other_names_do_not_clash(tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    with result_folder(tmp_path, NAMES) as folder:
+        (folder / "data.csv").write_text("new")
+    assert tree(tmp_path) == {"data.csv": "new", "notes.txt": "mine"}
+
+
+def test_parents_are_made(tmp_path):
+    with result_folder(tmp_path / "a" / "b" / "c", NAMES) as folder:
+        (folder / "data.csv").write_text("new")
+    assert tree(tmp_path / "a") == {"b": None, "b/c": None, "b/c/data.csv": "new"}
+
+
+def test_the_current_folder_can_take_results(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with result_folder(".", NAMES) as folder:
+        (folder / "data.csv").write_text("new")
+    assert tree(tmp_path) == {"data.csv": "new"}
+
+
+@pytest.mark.parametrize("out", ["file", "file/inner", "file/inner/most"])
+def test_a_file_in_the_way_is_found_before_the_work(tmp_path, out):
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(ConfigurationError, match="file is not a folder"):  # noqa: SIM117
+        with result_folder(tmp_path / out, NAMES):
+            pytest.fail("the work began")
+    assert tree(tmp_path) == {"file": "mine"}
+
+
+def test_a_name_that_was_not_declared_is_a_mistake(tmp_path):
+    # It could have been overwritten without having been looked for.
+    with pytest.raises(AssertionError, match="undeclared"):  # noqa: SIM117
+        with result_folder(tmp_path / "out", NAMES) as folder:
+            (folder / "other.txt").write_text("new")
+    assert tree(tmp_path) == {}
+
+
+def test_results_are_readable_by_others(tmp_path):
+    mask = os.umask(0o022)
+    try:
+        with result_folder(tmp_path / "out", NAMES) as folder:
+            write(folder, "new")
+    finally:
+        os.umask(mask)
+    assert (tmp_path / "out").stat().st_mode & 0o777 == 0o755
+    assert (tmp_path / "out" / "part").stat().st_mode & 0o777 == 0o755
+
+
+def test_summaries_are_plain_json(tmp_path):
+    summary = {
+        "nan": math.nan,
+        "numpy_inf": np.float64(-np.inf),
+        "float32": np.float32(0.5),
+        "int": np.int64(7),
+        "bool": np.bool_(True),
+        "text": "a",
+        "none": None,
+        "array": np.array([[1.0, np.nan], [np.inf, 2.0]]),
+        "tuple": (1, np.float64(2.0), {"deep": [np.nan]}),
+        1: "key",
+    }
+    write_summary(tmp_path, summary)
+
+    def refuse(constant):
+        pytest.fail(f"{constant} is not JSON")
+
+    text = (tmp_path / "summary.json").read_text()
+    assert text.endswith("}\n")
+    assert json.loads(text, parse_constant=refuse) == {
+        "nan": None,
+        "numpy_inf": None,
+        "float32": 0.5,
+        "int": 7,
+        "bool": True,
+        "text": "a",
+        "none": None,
+        "array": [[1.0, None], [None, 2.0]],
+        "tuple": [1, 2.0, {"deep": [None]}],
+        "1": "key",
+    }

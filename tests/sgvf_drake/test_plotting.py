@@ -1,0 +1,207 @@
+"""Every plot: what is drawn, in which colours, and with which labels."""
+
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import same_color
+from matplotlib.lines import Line2D
+import numpy as np
+import pandas as pd
+import pytest
+
+from sgvf_drake import plotting
+
+TIMES = np.linspace(0.0, 10.0, 101)
+
+
+class Rotation:
+    """Counter-clockwise around the origin."""
+
+    dim = 2
+
+    def __call__(self, x):
+        return np.stack([-x[:, 1], x[:, 0]], axis=-1)
+
+
+@pytest.fixture
+def axes():
+    return plotting.new_figure(1, 1, 4, 3)[1][0]
+
+
+@pytest.fixture
+def flight_log():
+    columns = {"time": TIMES, "vx": np.cos(TIMES), "vy": np.sin(TIMES)}
+    forces = {f"force_{n}": 1.0 + 0.1 * n + 0.0 * TIMES for n in (1, 2, 3, 4)}
+    return pd.DataFrame({**columns, **forces})
+
+
+def trajectories(agents):
+    """Agents (T, n, 2) that move to the right, one above the other."""
+    x = np.broadcast_to(TIMES[:, None], (len(TIMES), agents))
+    y = np.broadcast_to(np.arange(agents, dtype=float), (len(TIMES), agents))
+    return np.stack([x, y], axis=-1)
+
+
+def lines_of(artists, color):
+    return [
+        artist
+        for artist in artists
+        if isinstance(artist, Line2D) and same_color(artist.get_color(), color)
+    ]
+
+
+def check_rendered(axes):
+    """Something is drawn inside of the axes."""
+    canvas = FigureCanvasAgg(axes.figure)
+    canvas.draw()
+    pixels = np.asarray(canvas.buffer_rgba())
+    box = axes.get_window_extent()
+    height = pixels.shape[0]
+    inside = pixels[
+        height - int(box.y1) + 5 : height - int(box.y0) - 5, int(box.x0) + 5 : int(box.x1) - 5
+    ]
+    assert np.any(inside[..., :3] < 200, axis=2).mean() > 0.001
+
+
+def test_figures_have_axes_row_by_row():
+    figure, axes = plotting.new_figure(2, 3, 9, 4)
+    assert len(axes) == 6
+    assert figure.get_size_inches().tolist() == [9.0, 4.0]
+    rows = [ax.get_subplotspec().rowspan.start for ax in axes]
+    assert rows == [0, 0, 0, 1, 1, 1]
+
+
+def test_figures_stay_out_of_pyplot():
+    import matplotlib.pyplot as plt
+
+    before = plt.get_fignums()
+    plotting.new_figure(1, 1, 2, 2)
+    assert plt.get_fignums() == before
+
+
+def test_plane_axes(axes):
+    plotting.plane_axes(axes, "m", "a title")
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("x [m]", "y [m]")
+    assert axes.get_title() == "a title"
+    assert axes.get_aspect() == 1.0
+
+
+def test_plane_axes_without_a_unit(axes):
+    plotting.plane_axes(axes)
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("x", "y")
+
+
+def test_field(axes):
+    lower, upper = np.array([-2.0, -1.0]), np.array([2.0, 3.0])
+    (lines,) = plotting.plot_field(axes, Rotation(), (lower, upper))
+    assert len(lines.get_segments()) > 10
+    for segment in lines.get_segments():
+        # Streams of a rotation keep their distance from the origin.
+        radius = np.linalg.norm(segment, axis=1)
+        assert np.ptp(radius) < 0.05
+    assert axes.get_xlim() == (-2.0, 2.0)
+    assert axes.get_ylim() == (-1.0, 3.0)
+    check_rendered(axes)
+
+
+def test_waypoints(axes):
+    points = np.random.default_rng(0).uniform(-1, 1, (50, 3))
+    (line,) = plotting.plot_waypoints(axes, points)
+    np.testing.assert_array_equal(line.get_xydata(), points[:, :2])
+    assert line.get_linestyle() == "None"
+    check_rendered(axes)
+
+
+def test_trajectories_without_a_verdict_are_all_agents(axes):
+    artists = plotting.plot_trajectories(axes, trajectories(3))
+    lines = lines_of(artists, plotting.BLUE)
+    assert {line.get_ydata()[0] for line in lines if len(line.get_ydata()) > 1} == {0, 1, 2}
+    assert lines_of(artists, plotting.RED) == []
+    check_rendered(axes)
+
+
+def test_failing_agents_have_another_colour(axes):
+    followed = [True, False, True, True]
+    artists = plotting.plot_trajectories(axes, trajectories(4), followed)
+    for color, rows in ((plotting.BLUE, {0, 2, 3}), (plotting.RED, {1})):
+        assert {line.get_ydata()[0] for line in lines_of(artists, color)} == rows
+    labels = axes.get_legend_handles_labels()[1]
+    assert [label for label in labels if label in ("agent", "failed")] == ["agent", "failed"]
+
+
+def test_of_many_agents_a_selection_is_drawn_but_every_failure(axes):
+    followed = np.arange(500) % 5 != 0
+    artists = plotting.plot_trajectories(axes, trajectories(500), followed)
+    good = {line.get_ydata()[0] for line in lines_of(artists, plotting.BLUE)}
+    failed = {line.get_ydata()[0] for line in lines_of(artists, plotting.RED)}
+    assert len(good) == plotting.MAX_TRAJECTORIES
+    assert failed == set(range(0, 500, 5))
+    assert min(good) < 10
+    assert max(good) > 490
+
+
+def test_cross_track_of_one_agent(axes):
+    error = 0.1 * np.exp(-TIMES)
+    artists = plotting.plot_cross_track(axes, TIMES, error[:, None], "m")
+    assert any(np.allclose(line.get_ydata(), error, atol=2e-5) for line in artists)
+    assert "[m]" in axes.get_ylabel()
+    assert axes.get_xlabel() == "time [s]"
+    check_rendered(axes)
+
+
+def test_cross_track_of_many_agents(axes):
+    errors = np.exp(-TIMES / 2)[:, None] * np.linspace(1.0, 2.0, 21)
+    artists = plotting.plot_cross_track(axes, TIMES, errors, "mm", "s at unit speed")
+    assert len(artists) == 3
+    labels = axes.get_legend_handles_labels()[1]
+    assert set(labels) == {"5 % to 95 % of agents", "median", "largest"}
+    (median,) = lines_of(artists, plotting.BLUE)
+    np.testing.assert_allclose(median.get_ydata(), 1.5 * np.exp(-TIMES / 2), rtol=1e-9)
+    (largest,) = lines_of(artists, plotting.RED)
+    np.testing.assert_allclose(largest.get_ydata(), 2.0 * np.exp(-TIMES / 2), rtol=1e-9)
+    assert "[mm]" in axes.get_ylabel()
+    assert "[s at unit speed]" in axes.get_xlabel()
+
+
+def test_cross_track_of_a_perfect_run_is_drawn(axes):
+    plotting.plot_cross_track(axes, TIMES, np.zeros((len(TIMES), 3)), "m")
+    check_rendered(axes)
+
+
+def test_velocity(axes, flight_log):
+    x, y, speed = plotting.plot_velocity(axes, flight_log)
+    np.testing.assert_array_equal(x.get_ydata(), flight_log["vx"])
+    np.testing.assert_array_equal(y.get_ydata(), flight_log["vy"])
+    np.testing.assert_allclose(speed.get_ydata(), 1.0)
+    assert axes.get_xlabel() == "time [s]"
+    assert axes.get_ylabel() == "velocity [m/s]"
+    check_rendered(axes)
+
+
+def test_propeller_forces(axes, flight_log):
+    *forces, limit = plotting.plot_propeller_forces(axes, flight_log, 4.6)
+    assert [line.get_ydata()[0] for line in forces] == pytest.approx([1.1, 1.2, 1.3, 1.4])
+    assert len({line.get_color() for line in forces}) == 4
+    assert list(limit.get_ydata()) == [4.6, 4.6]
+    assert axes.get_ylabel() == "propeller force [N]"
+    assert axes.get_ylim()[0] == 0.0
+    assert axes.get_ylim()[1] > 4.6
+    check_rendered(axes)
+
+
+def test_losses(axes):
+    history = pd.DataFrame(
+        {
+            "stage": "tangent",
+            "iteration": np.arange(100),
+            "orthogonality": np.geomspace(1.0, 0.01, 100),
+            "score": np.nan,
+            "total": 1.0,
+        }
+    )
+    (line,) = plotting.plot_losses(axes, history)
+    # The term of the other stage is left out, and so is the sum.
+    assert line.get_label() == "orthogonality"
+    assert line.get_ydata()[0] == pytest.approx(1.0)
+    assert axes.get_title() == "tangent"
+    assert axes.get_yscale() == "log"
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("iteration", "loss")
+    check_rendered(axes)
