@@ -78,30 +78,44 @@ def train(
         str | None, typer.Option(help="A named shape in place of a file; see `sgvf shapes`.")
     ] = None,
     columns: Columns = None,
-    num_points: Annotated[int, typer.Option(help="Waypoints of the shape.")] = 200,
-    noise: Annotated[float, typer.Option(help="Noise of the shape's waypoints, std.")] = 0.0,
+    num_points: Annotated[
+        int | None, typer.Option(help="Waypoints of the shape  [default: 200].")
+    ] = None,
+    noise: Annotated[
+        float | None, typer.Option(help="Noise of the shape's waypoints, std  [default: 0].")
+    ] = None,
     sampling: Annotated[
-        SamplingName, typer.Option(help="Sampling of the shape.")
-    ] = SamplingName.UNIFORM,
+        SamplingName | None, typer.Option(help="Sampling of the shape  [default: uniform].")
+    ] = None,
     recipe: Annotated[RecipeName, typer.Option(help="How to learn.")] = RecipeName.ROBUST,
     seed: Annotated[int, typer.Option(help="Of every random number of the run.")] = 0,
     overwrite: Overwrite = False,
 ) -> None:
     """Train a guiding field from waypoints."""
-    from sgvf_drake.experiments import run_train
-    from sgvf_drake.learning import TrainingConfig
     from sgvf_drake.paths import PointCloud, make_shape
 
     if (points is None) == (shape is None):
         raise ConfigurationError("give either --points FILE or --shape NAME")
-    # First, since it checks the seed that the shape needs too.
-    config = TrainingConfig(recipe=recipe.value, seed=seed)
+    if seed < 0:
+        raise ConfigurationError(f"seed cannot be {seed}")
+    sampled = {"num_points": num_points, "noise": noise, "sampling": sampling}
+    given: dict[str, Any] = {
+        name: value for name, value in sampled.items() if value is not None
+    }
     chosen = _columns(columns, points, "--points")
     if points is not None:
+        if given:
+            option = f"--{next(iter(given))}".replace("_", "-")
+            raise ConfigurationError(f"{option} is for --shape; a file is taken as it is")
         cloud = PointCloud.read(points, chosen)
     else:
         assert shape is not None
-        cloud, _ = make_shape(shape, num_points, noise, seed, sampling.value)
+        cloud, _ = make_shape(shape, seed=seed, **given)
+    # Slow to import, so only once the waypoints are read.
+    from sgvf_drake.experiments import run_train
+    from sgvf_drake.learning import TrainingConfig
+
+    config = TrainingConfig(recipe=recipe.value, seed=seed)
     with _progress() as progress:
         summary = run_train(cloud, config, out, overwrite=overwrite, progress=progress)
     _print_training(summary)

@@ -9,7 +9,8 @@ import pandas as pd
 from sgvf_drake import plotting
 from sgvf_drake.experiments.fly import FlightResult, PieceFlight
 from sgvf_drake.experiments.follow import FollowResult
-from sgvf_drake.fields import GuidingField
+from sgvf_drake.fields import Field, GuidingField
+from sgvf_drake.paths import PointCloud
 
 
 def training_figure(field: GuidingField, history: pd.DataFrame, path: Path) -> None:
@@ -45,14 +46,17 @@ def follow_figure(field: GuidingField, result: FollowResult, path: Path) -> None
 
 
 def flight_figure(
-    field: GuidingField, flight: PieceFlight, result: FlightResult, path: Path
+    field: Field, cloud: PointCloud, flight: PieceFlight, result: FlightResult, path: Path
 ) -> None:
-    """Saves one flight: trajectory, error, velocity and propeller forces (paper, Fig. 3)."""
+    """Saves one flight: trajectory, error, velocity and propeller forces (paper, Fig. 3).
+
+    `field` is the field as it was flown; see `systems.FieldForSpeed`.
+    """
     figure, axes = plotting.new_figure(2, 2, 12, 8.5)
     log = flight.log
     if field.dim == 2:
-        plotting.plot_field(axes[0], field, field.cloud.box)
-    plotting.plot_waypoints(axes[0], field.cloud.points)
+        plotting.plot_field(axes[0], field, cloud.box)
+    plotting.plot_waypoints(axes[0], cloud.points)
     positions = log[["x", "y"]].to_numpy()[:, None, :]
     plotting.plot_trajectories(axes[0], positions)
     plotting.plane_axes(axes[0], "m", "flight from a hover beside the path")

@@ -27,7 +27,7 @@ START_OFFSET = 0.5
 # Time is added for a way in of this many U.
 WAY_IN = 4.0
 LOG_PERIOD = 0.01
-# Saturation is judged after the take-off.
+# Time for the take-off, after which saturation is judged.
 TAKE_OFF_S = 1.0
 # A propeller this close to a limit, relative to the limit, is saturated.
 SATURATION_MARGIN = 1e-6
@@ -183,7 +183,7 @@ def fly(
     for piece in pieces:
         start = hover_start(reference, piece, field.cloud.unit_length, altitude)
         way_in = WAY_IN * field.cloud.unit_length
-        duration = (laps * float(reference.lengths[piece]) + way_in) / speed
+        duration = TAKE_OFF_S + (laps * float(reference.lengths[piece]) + way_in) / speed
         try:
             log, wall_s = simulate(diagram, start, duration, progress)
         except (RuntimeError, NonFiniteValueError) as error:
@@ -267,7 +267,6 @@ def _summarize(
     limit = parameters.max_propeller_force
     margin = SATURATION_MARGIN * limit
     saturated = np.any((forces <= margin) | (forces >= limit - margin), axis=1)
-    in_flight = saturated[times > TAKE_OFF_S]
     altitude_error = last_lap["z"] - altitude if field.dim == 2 else pd.Series([np.nan])
     return {
         "cross_track_rms_m": figures["cross_track_rms"],
@@ -277,9 +276,7 @@ def _summarize(
         "altitude_rms_m": float(np.sqrt((altitude_error**2).mean())),
         "motor_force_max_n": float(forces.max()),
         "saturated_fraction": float(saturated.mean()),
-        "saturated_fraction_after_take_off": (
-            float(in_flight.mean()) if len(in_flight) else None
-        ),
+        "saturated_fraction_after_take_off": float(saturated[times > TAKE_OFF_S].mean()),
         "laps": abs(float(metrics.laps[0])),
         "duration_s": float(times[-1]),
         "start_m": log[["x", "y", "z"]].iloc[0].tolist(),

@@ -54,7 +54,8 @@ def result_folder(
         yield temporary
         written = sorted(path.name for path in temporary.iterdir())
         assert set(written) <= set(names), f"undeclared results {written}"
-        _move(temporary, out, written)
+        out.mkdir(exist_ok=True)
+        _move(temporary, out)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
         # Innermost first; where there are results, the folders are not empty and stay.
@@ -63,15 +64,14 @@ def result_folder(
                 folder.rmdir()
 
 
-def _move(source: Path, target: Path, names: Sequence[str]) -> None:
-    try:
-        target.mkdir(exist_ok=True)
-    except OSError as error:
-        raise ConfigurationError(f"cannot write to {target}: {error.strerror}") from None
-    for name in names:
-        if (target / name).is_dir():
-            shutil.rmtree(target / name)
-        os.replace(source / name, target / name)
+def _move(source: Path, target: Path) -> None:
+    """Moves every file, each in one step; what else lies in the target stays."""
+    for path in sorted(source.rglob("*")):
+        destination = target / path.relative_to(source)
+        if path.is_dir():
+            destination.mkdir(exist_ok=True)
+        else:
+            os.replace(path, destination)
 
 
 def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:

@@ -13,6 +13,7 @@ from sgvf_drake.experiments.results import SUMMARY, result_folder, write_summary
 from sgvf_drake.fields import GuidingField, load_field
 from sgvf_drake.paths import PointCloud, Reference
 from sgvf_drake.progress import Progress, no_progress
+from systems import FieldForSpeed
 
 FIELD_FILE = "field.safetensors"
 TRAIN_FILES = (SUMMARY, FIELD_FILE, "losses.csv", "field.png")
@@ -146,10 +147,11 @@ def run_fly(
     names = [f"flight_{n}.{suffix}" for n in pieces for suffix in ("png", "parquet")]
     with result_folder(out, (SUMMARY, *names), overwrite=overwrite) as folder:
         result = fly(field, path, speed, laps, altitude, progress=progress)
+        flown = FieldForSpeed(field, speed)
         for flight in result.flights:
             stem = folder / f"flight_{flight.piece + 1}"
             flight.log.to_parquet(stem.with_suffix(".parquet"))
-            figures.flight_figure(field, flight, result, stem.with_suffix(".png"))
+            figures.flight_figure(flown, field.cloud, flight, result, stem.with_suffix(".png"))
         summary = {**result.summary(), "reference": kind, **_origin(field)}
         write_summary(folder, summary)
     return summary

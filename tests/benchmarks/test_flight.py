@@ -31,7 +31,7 @@ SIMULATED_S = 60.0
 
 
 class EmptyController(LeafSystem):
-    """The ports of guidance and controller, and as little Python behind them as there can be."""
+    """The ports of guidance and controller, and as little Python behind them as can be."""
 
     def __init__(self, parameters: QuadrotorParameters) -> None:
         super().__init__()

@@ -34,7 +34,9 @@ def test_follow_figure(tmp_path, flight_field, followed):
 
 def test_flight_figure(tmp_path, flight_field, flown):
     flight = flown.fast.flights[0]
-    figures.flight_figure(flight_field, flight, flown.fast, tmp_path / "a.png")
+    figures.flight_figure(
+        flight_field, flight_field.cloud, flight, flown.fast, tmp_path / "a.png"
+    )
     check_picture(tmp_path / "a.png")
 
 

@@ -83,14 +83,15 @@ def test_overwriting_replaces_the_results_and_nothing_else(tmp_path):
     out = tmp_path / "out"
     with result_folder(out, NAMES) as folder:
         write(folder, "old")
-        (folder / "part" / "stale.txt").write_text("old")
     (out / "notes.txt").write_text("mine")
+    (out / "part" / "more.txt").write_text("mine too")
     with result_folder(out, NAMES, overwrite=True) as folder:
         write(folder, "new")
     assert tree(out) == {
         "data.csv": "new",
         "part": None,
         "part/inner.txt": "new",
+        "part/more.txt": "mine too",
         "notes.txt": "mine",
     }
 
