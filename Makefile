@@ -9,7 +9,7 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c c
 export OMP_NUM_THREADS ?= 1
 export MPLBACKEND ?= Agg
 
-.PHONY: demo test check format bench clean
+.PHONY: demo test check format bench bench-learning clean
 
 demo: $(VENV)/.run-time
 	$(BIN)/sgvf demo --out demo --overwrite
@@ -29,6 +29,9 @@ format: $(VENV)/.development
 
 bench: $(VENV)/.development
 	$(BIN)/python -m pytest -m benchmark -s --durations=0
+
+bench-learning: $(VENV)/.development
+	$(BIN)/python -m sgvf_drake.experiments.quality --out build/bench-learning --suite full
 
 clean:
 	rm -rf $(VENV) demo build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache

@@ -8,6 +8,7 @@ a mistyped option answer at once.
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from enum import StrEnum
+import math
 from pathlib import Path
 import sys
 from typing import Annotated, Any
@@ -23,6 +24,8 @@ from sgvf_drake.exceptions import ConfigurationError, SgvfError
 from sgvf_drake.progress import Progress as Report
 
 BAD_INPUT = 2
+# Entries of --direction that leave a piece to the rule.
+RULE_ENTRIES = ("", "-")
 
 app = typer.Typer(
     name="sgvf",
@@ -41,6 +44,14 @@ class RecipeName(StrEnum):
     PAPER = "paper"
     ROBUST = "robust"
     EXACT = "exact"
+
+
+class DirectionName(StrEnum):
+    """The directions of travel, as the command line offers them."""
+
+    CCW = "ccw"
+    CW = "cw"
+    REVERSE = "reverse"
 
 
 class SamplingName(StrEnum):
@@ -79,16 +90,51 @@ def train(
     ] = None,
     columns: Columns = None,
     num_points: Annotated[
-        int | None, typer.Option(help="Waypoints of the shape  [default: 200].")
+        int | None, typer.Option(help="Waypoints of the shape  \\[default: 200].")
     ] = None,
     noise: Annotated[
-        float | None, typer.Option(help="Noise of the shape's waypoints, std  [default: 0].")
+        float | None, typer.Option(help="Noise of the shape's waypoints, std  \\[default: 0].")
     ] = None,
     sampling: Annotated[
-        SamplingName | None, typer.Option(help="Sampling of the shape  [default: uniform].")
+        SamplingName | None, typer.Option(help="Sampling of the shape  \\[default: uniform].")
     ] = None,
     recipe: Annotated[RecipeName, typer.Option(help="How to learn.")] = RecipeName.ROBUST,
     seed: Annotated[int, typer.Option(help="Of every random number of the run.")] = 0,
+    is_open: Annotated[
+        bool | None,
+        typer.Option(
+            "--open/--closed",
+            help="All pieces are open paths, with ends, or closed  \\[default: as they look].",
+        ),
+    ] = None,
+    direction: Annotated[
+        str | None,
+        typer.Option(
+            help="Direction of travel: ccw, cw or reverse; or one for each piece, the longest "
+            "first, as in cw,-,reverse; - is the rule  \\[default: closed pieces ccw, open "
+            "ones from the smaller x].",
+        ),
+    ] = None,
+    start: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y", help="A point near which open paths start, in the waypoints' unit."
+        ),
+    ] = None,
+    sigma: Annotated[
+        float | None, typer.Option(help="Noise level in U  \\[default: from the waypoints].")
+    ] = None,
+    score_iterations: Annotated[
+        int | None, typer.Option(help="Steps of the score network  \\[default: of the recipe].")
+    ] = None,
+    tangent_iterations: Annotated[
+        int | None,
+        typer.Option(help="Steps of the tangent network  \\[default: of the recipe]."),
+    ] = None,
+    max_restarts: Annotated[
+        int | None,
+        typer.Option(help="New attempts after failed self-checks  \\[default: of the recipe]."),
+    ] = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Train a guiding field from waypoints."""
@@ -102,6 +148,18 @@ def train(
     given: dict[str, Any] = {
         name: value for name, value in sampled.items() if value is not None
     }
+    overrides: dict[str, Any] = {
+        "sigma_min": sigma,
+        "score_iterations": score_iterations,
+        "tangent_iterations": tangent_iterations,
+        "max_restarts": max_restarts,
+    }
+    of_path: dict[str, Any] = {
+        "open": is_open,
+        "direction": _directions(direction),
+        "start": _point(start),
+    }
+    _check_recipe(recipe, of_path, score_iterations)
     chosen = _columns(columns, points, "--points")
     if points is not None:
         if given:
@@ -115,7 +173,7 @@ def train(
     from sgvf_drake.experiments import run_train
     from sgvf_drake.learning import TrainingConfig
 
-    config = TrainingConfig(recipe=recipe.value, seed=seed)
+    config = TrainingConfig(recipe=recipe.value, seed=seed, **of_path, **overrides)
     with _progress() as progress:
         summary = run_train(cloud, config, out, overwrite=overwrite, progress=progress)
     _print_training(summary)
@@ -130,7 +188,7 @@ def follow(
     reference: ReferenceFile = None,
     columns: ReferenceColumns = None,
     duration: Annotated[
-        float | None, typer.Option(help="Seconds at unit speed  [default: 1.5 laps + 15 U].")
+        float | None, typer.Option(help="Seconds at unit speed  \\[default: 1.5 laps + 15 U].")
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
@@ -158,7 +216,7 @@ def fly(
     field: FieldPath,
     out: Out,
     speed: Annotated[float, typer.Option(help="Commanded speed, m/s.")] = 0.45,
-    laps: Annotated[float, typer.Option(help="Laps of every piece, at least 1.")] = 2.0,
+    laps: Annotated[float, typer.Option(help="Laps of every closed piece, at least 1.")] = 2.0,
     altitude: Annotated[float, typer.Option(help="Height of a planar flight, m.")] = 1.0,
     scale: Annotated[float, typer.Option(help="Metres in one unit of the waypoints.")] = 1.0,
     reference: ReferenceFile = None,
@@ -242,6 +300,56 @@ def _columns(columns: str | None, file: Path | None, option: str) -> list[str | 
     return [name.strip() for name in columns.split(",")]
 
 
+def _directions(text: str | None) -> str | tuple[str | None, ...] | None:
+    """Reads --direction: one direction for all pieces, or one for each."""
+    if text is None:
+        return None
+    entries = tuple(_direction(entry.strip()) for entry in text.split(","))
+    return entries[0] if len(entries) == 1 else entries
+
+
+def _direction(entry: str) -> str | None:
+    if entry in RULE_ENTRIES:
+        return None
+    try:
+        return DirectionName(entry).value
+    except ValueError:
+        names = ", ".join(DirectionName)
+        raise ConfigurationError(
+            f"--direction cannot be {entry!r}; choose {names}, or - for the rule"
+        ) from None
+
+
+def _point(text: str | None) -> tuple[float, ...] | None:
+    """Reads --start, a point X,Y or X,Y,Z."""
+    if text is None:
+        return None
+    try:
+        point = tuple(float(coordinate) for coordinate in text.split(","))
+    except ValueError:
+        point = ()
+    if len(point) < 2 or not all(map(math.isfinite, point)):
+        raise ConfigurationError(f"--start must be a point X,Y, not {text!r}")
+    return point
+
+
+def _check_recipe(
+    recipe: RecipeName, of_path: Mapping[str, Any], score_iterations: int | None
+) -> None:
+    """Refuses options that the recipe would ignore."""
+    if recipe is RecipeName.PAPER:
+        for name, value in of_path.items():
+            if value is not None:
+                option = "--closed" if value is False else f"--{name}"
+                raise ConfigurationError(
+                    f"{option} is not for the recipe paper, which knows no pieces"
+                )
+    if recipe is RecipeName.EXACT and score_iterations is not None:
+        raise ConfigurationError(
+            "--score-iterations is not for the recipe exact, which has no score network"
+        )
+
+
 @contextmanager
 def _progress() -> Iterator[Report]:
     """A progress bar a stage, on a terminal only."""
@@ -270,6 +378,8 @@ def _print_training(summary: Mapping[str, Any]) -> None:
         "recipe, seed": f"{summary['recipe']}, {summary['seed']}",
         "waypoints": f"{summary['num_points']} in {summary['dim']}-D",
         "unit length U": f"{summary['unit_length']:.4g}",
+        "pieces": _pieces(summary["pieces"]),
+        **_cleaning(summary),
         "noise level": f"{summary['sigma']:.3g} U",
         "training": f"{summary['train_cpu_s']:.1f} s CPU, {summary['restarts']} restarts",
         "self-check": summary["self_check"]["message"],
@@ -279,11 +389,31 @@ def _print_training(summary: Mapping[str, Any]) -> None:
         errors.print("warning: the field failed its self-check", style="bold red")
 
 
+def _pieces(pieces: Sequence[Mapping[str, Any]]) -> str:
+    """Returns how many pieces of each kind there are: "1 open, 1 closed"."""
+    num_closed = sum(piece["closed"] for piece in pieces)
+    counts = {"open": len(pieces) - num_closed, "closed": num_closed}
+    return ", ".join(f"{count} {kind}" for kind, count in counts.items() if count)
+
+
+def _cleaning(summary: Mapping[str, Any]) -> dict[str, str]:
+    """Returns the rows that tell what was done to the waypoints, if anything was."""
+    rows = {}
+    if summary["dropped"]:
+        rows["strays left out"] = str(summary["dropped"])
+    if summary["resampled"]:
+        rows["learned from"] = "waypoints resampled along their pieces"
+    return rows
+
+
 def _print_following(summary: Mapping[str, Any]) -> None:
     U = summary["unit_length"]
+    # No fraction of laps where every piece is open, none of ends where every one is closed.
+    aims = {name: summary[f"{name}_fraction"] for name in ("reach", "lap", "end")}
+    aims = {name: value for name, value in aims.items() if value is not None}
     rows = {
         "starts": str(summary["starts"]),
-        "reach, lap": f"{summary['reach_fraction']:.1%}, {summary['lap_fraction']:.1%}",
+        ", ".join(aims): ", ".join(f"{value:.1%}" for value in aims.values()),
         "stall, leave": f"{summary['stall_fraction']:.1%}, {summary['leave_fraction']:.1%}",
         "cross-track RMS": _length(summary["cross_track_rms"], U),
         "cross-track max": _length(summary["cross_track_max"], U),
@@ -305,7 +435,8 @@ def _print_flight(summary: Mapping[str, Any]) -> None:
     table = Table(title="Flight", title_justify="left")
     # Broken so that the table fits in 80 columns.
     headings = ("piece", "RMS\n[m]", "max\n[m]", "speed\n[m/s]", "altitude\nRMS [m]")
-    for heading in (*headings, "force\n[N]", "satu-\nrated", "laps", "x real\ntime"):
+    aim = _aim(summary["pieces"])
+    for heading in (*headings, "force\n[N]", "satu-\nrated", aim, "x real\ntime"):
         # As text, since "[m]" would be markup.
         table.add_column(Text(heading), justify="right")
     for piece in summary["pieces"]:
@@ -317,11 +448,23 @@ def _print_flight(summary: Mapping[str, Any]) -> None:
             _number(piece["altitude_rms_m"]),
             f"{piece['motor_force_max_n']:.2f}",
             f"{piece['saturated_fraction']:.1%}",
-            f"{piece['laps']:.2f}",
+            _completion(piece),
             f"{piece['real_time_factor']:.0f}",
         )
     console.print(f"acceleration {demand:.2f} of {limit:.1f} m/s^2: {verdict}", highlight=False)
     console.print(table)
+
+
+def _aim(pieces: Sequence[Mapping[str, Any]]) -> str:
+    """Returns the heading of what is to be completed: laps, ends, or both."""
+    kinds = {"end" if piece["open"] else "laps" for piece in pieces}
+    return ",\n".join(sorted(kinds, reverse=True))
+
+
+def _completion(piece: Mapping[str, Any]) -> str:
+    if piece["open"]:
+        return "yes" if piece["ended"] else "no"
+    return f"{piece['laps']:.2f}"
 
 
 def _number(value: float | None) -> str:

@@ -1,4 +1,4 @@
-"""How well agents followed a path: reach, laps, stalls, leaving, and cross-track error.
+"""How well agents followed a path: reach, laps, ends, stalls, leaving, cross-track error.
 
 Everything is measured in units U of the path (half-extent / 4), against a reference: the
 true path, or the spanning tree of the cloud where nothing else is known.
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
-from sgvf_drake.paths.reference import Reference
+from sgvf_drake.paths.reference import Reference, ReferencePath, TreeReference
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
@@ -28,6 +28,17 @@ STALL_WINDOW = 8.0
 
 STALL_SPAN = 0.5
 """Stalled: the positions in that time span less than this many U."""
+
+END_DISTANCE = 0.1
+"""Ended: within this many U of the terminal end.  As near as reaching the path means."""
+
+REST_WINDOW = 2.0
+"""Ended: at rest over the time in which an agent at full speed covers this many U.  Less than
+`STALL_WINDOW`, so that an agent that arrives late in its run can still have ended."""
+
+REST_SPAN = 0.05
+"""Ended: the positions in that time span less than this many U, half of `END_DISTANCE`.  An
+agent that runs through the end covers 40 times as much."""
 
 LEAVE_BOXES = 1.5
 """Left: outside the box enlarged about its centre by this factor."""
@@ -54,34 +65,44 @@ class FollowMetrics:
     Attributes:
         reached: Came within `REACH_DISTANCE`.
         settled: Stayed within `SETTLE_DISTANCE` of one piece over the last lap.
-        lapped: Settled, and went all the way around (along) its piece.
-        stalled: Hardly moved in the end; False in a run shorter than `STALL_WINDOW`.
+        lapped: Settled, and went all the way around its piece, which is closed.
+        ended: Followed its open piece from where it entered to the terminal end, and came
+            to rest there; False in a run shorter than `REST_WINDOW`.
+        stalled: Hardly moved in the end without having ended; False in a run shorter than
+            `STALL_WINDOW`.
         left: Was outside `LEAVE_BOXES` boxes.
-        rms: Root mean square of the cross-track error over the last lap, in the user's
-            unit of length; NaN where not settled.
-        maximum: Largest cross-track error over the last lap; NaN where not settled.
+        rms: Root mean square of the cross-track error over the last lap, or from the first
+            reach to the arrival of an agent that ended, in the user's unit of length; NaN
+            where not settled.
+        maximum: Largest cross-track error over the same time; NaN where not settled.
         laps: Arc length gained since the agent came to stay near its piece, in lengths of
             it; negative against the direction of the reference's arc length.
         piece: The piece of the reference nearest to the last position.
-        samples: Number of time samples in the last lap; 0 where not settled.
+        open: Whether that piece is open.  An isolated waypoint counts as closed if any
+            piece is, since to stay there means to miss the lap.
+        samples: Number of time samples in that time; 0 where not settled.
     """
 
     reached: BoolArray
     settled: BoolArray
     lapped: BoolArray
+    ended: BoolArray
     stalled: BoolArray
     left: BoolArray
     rms: FloatArray
     maximum: FloatArray
     laps: FloatArray
     piece: IntArray
+    open: BoolArray
     samples: IntArray
 
     def summary(self) -> dict[str, float | None]:
         """Returns the fractions of agents, and the errors over the settled ones.
 
-        The root mean square is over all time samples of the settled agents' last laps;
-        both errors are None when no agent settled.
+        The lap fraction is over the agents on closed pieces in the end, the end fraction
+        over those on open pieces, each None when there are none; the other fractions are
+        over all agents.  The root mean square is over all time samples of the settled
+        agents' last laps and ways to the end; both errors are None when no agent settled.
         """
         rms = maximum = None
         if self.settled.any():
@@ -91,7 +112,8 @@ class FollowMetrics:
             maximum = float(self.maximum[self.settled].max())
         return {
             "reach_fraction": float(self.reached.mean()),
-            "lap_fraction": float(self.lapped.mean()),
+            "lap_fraction": _fraction(self.lapped[~self.open]),
+            "end_fraction": _fraction(self.ended[self.open]),
             "stall_fraction": float(self.stalled.mean()),
             "leave_fraction": float(self.left.mean()),
             "cross_track_rms": rms,
@@ -106,6 +128,7 @@ def follow_metrics(
     box: tuple[ArrayLike, ArrayLike],
     reference: Reference,
     speed: float = 1.0,
+    ends: ArrayLike | None = None,
 ) -> FollowMetrics:
     """Measures how agents follow a path.
 
@@ -113,12 +136,17 @@ def follow_metrics(
     `SETTLE_DISTANCE` of one piece without a `JUMP` to another strand of it; L is the
     length of that piece.
 
-    - With a true path, a lap is done when the arc length gained in the tail is at least L,
-      either way around, and the last lap is the shortest end of the run with that gain.
-    - With the tree of a cloud, a lap is done when every waypoint of the piece was passed
+    - With a true path, the last lap is the shortest end of the run in which the arc length
+      gained in the tail is at least L, either way around.  A closed piece is lapped then.
+    - With the tree of a cloud, a closed piece is lapped when every waypoint of it was passed
       within `SETTLE_DISTANCE` in the tail.
-    - Without a lap, or with the tree, the last lap is the last L / speed of time; the agent
-      has settled if its tail covers it.
+    - Without that gain, or with the tree, the last lap is the last L / speed of time; the
+      agent has settled if its tail covers it.
+    - An open piece has a terminal end, at which its agents come to rest.  An agent has ended
+      (and settled) there if it is at rest within `END_DISTANCE` of it and its tail holds all
+      of the run since the agent first came within `REACH_DISTANCE` of the path, so that it
+      skipped nothing.  Its errors are those of the tail from that reach to its arrival, the
+      sample since which it has been within `END_DISTANCE`.
 
     Between two samples an agent must move less than half a piece.  A piece without length
     (an isolated waypoint of a cloud) is nothing to settle on.
@@ -130,28 +158,38 @@ def follow_metrics(
         box: lower and upper corner (d,).
         reference: a `ReferencePath`, or `tree_reference(cloud)`.
         speed: the agents' speed, in that unit over the unit of `times`.
+        ends: (E, d) where the field comes to rest.  Of the two end vertices of an open piece
+            the one that is nearer to any of them is terminal; without any, the last one.
 
     Raises:
         ConfigurationError: if shapes do not match, times do not increase, or the unit of
             length or the speed is not positive.
-        NonFiniteValueError: if a position is not finite.
+        NonFiniteValueError: if a position or an end is not finite.
     """
     times, positions = _check(times, positions, unit_length, reference, speed)
+    terminal = _terminal_ends(reference, _check_ends(ends, reference))
     tails = _tails(positions, unit_length, reference)
     settled, lapped, begin = _last_laps(times, positions, unit_length, reference, speed, tails)
-    rms, maximum, samples = _errors(tails.distance, settled, begin)
+    near_end, reach, arrival = _arrivals(positions, unit_length, terminal, tails)
+    ended = near_end & _still(times, positions, unit_length, speed, REST_WINDOW, REST_SPAN)
+    begin = np.where(ended, reach, begin)
+    until = np.where(ended, arrival, len(times) - 1)
+    settled |= ended
+    rms, maximum, samples = _errors(tails.distance, settled, begin, until)
     lower, upper = (np.asarray(corner, dtype=np.float64) for corner in box)
     outside = np.abs(positions - (lower + upper) / 2) > LEAVE_BOXES * (upper - lower) / 2
     return FollowMetrics(
         reached=_any(tails.distance <= REACH_DISTANCE * unit_length),
         settled=settled,
         lapped=lapped,
-        stalled=_stalled(times, positions, unit_length, speed),
+        ended=ended,
+        stalled=_still(times, positions, unit_length, speed, STALL_WINDOW, STALL_SPAN) & ~ended,
         left=np.asarray(outside.any(axis=(0, 2))),
         rms=rms,
         maximum=maximum,
         laps=tails.laps,
         piece=tails.piece,
+        open=_open(reference)[tails.piece],
         samples=samples,
     )
 
@@ -211,6 +249,47 @@ def _check(
     return t, p
 
 
+def _check_ends(ends: ArrayLike | None, reference: Reference) -> FloatArray:
+    """Returns the ends as (E, d), E = 0 where none are given."""
+    e = np.asarray([] if ends is None else ends, dtype=np.float64)
+    if e.size == 0:
+        return np.empty((0, reference.dim))
+    if e.ndim != 2 or e.shape[1] != reference.dim:
+        raise ConfigurationError(f"ends must be (E, {reference.dim}), not {e.shape}")
+    bad = np.flatnonzero(~np.isfinite(e).all(axis=1))
+    if len(bad):
+        raise NonFiniteValueError(f"end {bad[0]} of the field is not finite")
+    return e
+
+
+def _open(reference: Reference) -> BoolArray:
+    """Returns whether each piece counts as open, (P,); see `FollowMetrics.open`."""
+    isolated = reference.lengths == 0
+    return np.asarray(~reference.closed & ~(isolated & reference.closed.any()))
+
+
+def _terminal_ends(reference: Reference, ends: FloatArray) -> FloatArray:
+    """Returns the terminal end of each piece (P, d); infinite where it has none."""
+    terminal = np.full((len(reference.lengths), reference.dim), np.inf)
+    for piece in np.flatnonzero(~reference.closed & (reference.lengths > 0)):
+        first, last = _end_vertices(reference, int(piece))
+        to_first, to_last = (
+            np.linalg.norm(ends - vertex, axis=1).min(initial=np.inf)
+            for vertex in (first, last)
+        )
+        terminal[piece] = first if to_first < to_last else last
+    return terminal
+
+
+def _end_vertices(reference: Reference, piece: int) -> FloatArray:
+    """Returns the first and the last vertex (2, d) of an open piece."""
+    if isinstance(reference, TreeReference):
+        return reference.points[reference.pieces[piece].order[[0, -1]]]
+    if isinstance(reference, ReferencePath):
+        return reference.pieces[piece].vertices[[0, -1]]
+    raise TypeError(f"do not know the ends of a {type(reference).__name__}")
+
+
 @dataclass(frozen=True, eq=False)
 class _Tails:
     """The ends of the runs, in which agents stay near one piece.
@@ -250,7 +329,7 @@ def _tails(positions: FloatArray, unit_length: float, reference: Reference) -> _
     moved = np.linalg.norm(np.diff(positions, axis=0), axis=2)
     away = (distance > SETTLE_DISTANCE * unit_length) | (pieces != piece)
     away[:-1] |= np.abs(step) > moved + JUMP * unit_length
-    first = np.where(away.any(axis=0), steps - np.argmax(away[::-1], axis=0), 0)
+    first = _since_last(away)
     gain = np.zeros((steps, agents))
     gain[:-1] = np.cumsum(step[::-1], axis=0)[::-1]
     return _Tails(distance, piece, length, first, gain)
@@ -267,9 +346,10 @@ def _last_laps(
     """Returns settled (n,), lapped (n,), and the first sample of each last lap (n,)."""
     begin = _window_start(times, tails.length / speed)
     settled = (begin >= 0) & (tails.first <= begin) & (tails.length > 0)
+    closed = reference.closed[tails.piece]
     if reference.waypoints is not None:
-        lapped = settled.copy()
-        for agent in np.flatnonzero(settled):
+        lapped = settled & closed
+        for agent in np.flatnonzero(lapped):
             tail = positions[tails.first[agent] :, agent]
             waypoints = reference.waypoints[tails.piece[agent]]
             passed = cKDTree(tail).query(waypoints)[0] <= SETTLE_DISTANCE * unit_length
@@ -278,9 +358,31 @@ def _last_laps(
     sample = np.arange(len(times))[:, None]
     whole = np.abs(tails.gain) >= (1 - ROUNDING) * tails.length
     whole &= (sample >= tails.first) & (tails.length > 0)
-    lapped = _any(whole)
+    passed_all = _any(whole)
     by_gain = len(times) - 1 - np.argmax(whole[::-1], axis=0)
-    return settled | lapped, lapped, np.where(lapped, by_gain, begin)
+    begin = np.where(passed_all, by_gain, begin)
+    return settled | passed_all, passed_all & closed, begin
+
+
+def _arrivals(
+    positions: FloatArray, unit_length: float, terminal: FloatArray, tails: _Tails
+) -> tuple[BoolArray, IntArray, IntArray]:
+    """Returns who followed its piece to its terminal end (n,), and the way there.
+
+    The way is given by its first and its last sample (n,): the first reach of the path, and
+    the sample since which the agent has been at the end.
+    """
+    from_end = np.linalg.norm(positions - terminal[tails.piece], axis=2)
+    arrival = _since_last(np.asarray(from_end > END_DISTANCE * unit_length))
+    # The end is on the path, so who arrived has reached the path, and no later.
+    reach = np.argmax(tails.distance <= REACH_DISTANCE * unit_length, axis=0)
+    return (arrival < len(positions)) & (tails.first <= reach), reach, arrival
+
+
+def _since_last(condition: BoolArray) -> IntArray:
+    """Returns the sample (n,) after the last one at which a condition (T, n) held."""
+    after = len(condition) - np.argmax(condition[::-1], axis=0)
+    return np.where(condition.any(axis=0), after, 0)
 
 
 def _any(condition: BoolArray) -> BoolArray:
@@ -295,10 +397,11 @@ def _window_start(times: FloatArray, duration: ArrayLike) -> IntArray:
 
 
 def _errors(
-    distance: FloatArray, settled: BoolArray, begin: IntArray
+    distance: FloatArray, settled: BoolArray, begin: IntArray, until: IntArray
 ) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Returns root mean square, maximum and number of samples (n,) of the last laps."""
-    inside = settled & (np.arange(len(distance))[:, None] >= begin)
+    """Returns root mean square, maximum and number of samples (n,), both ends included."""
+    sample = np.arange(len(distance))[:, None]
+    inside = settled & (sample >= begin) & (sample <= until)
     samples = inside.sum(axis=0)
     squares = np.sum(distance**2, axis=0, where=inside)
     rms = np.sqrt(squares / np.maximum(samples, 1))
@@ -306,11 +409,21 @@ def _errors(
     return np.where(settled, rms, np.nan), np.where(settled, maximum, np.nan), samples
 
 
-def _stalled(
-    times: FloatArray, positions: FloatArray, unit_length: float, speed: float
+def _still(
+    times: FloatArray,
+    positions: FloatArray,
+    unit_length: float,
+    speed: float,
+    window: float,
+    span: float,
 ) -> BoolArray:
-    start = int(_window_start(times, STALL_WINDOW * unit_length / speed))
+    """Returns who spans less than `span` U over the last `window` U of time at the speed."""
+    start = int(_window_start(times, window * unit_length / speed))
     if start < 0:
         return np.zeros(positions.shape[1], dtype=bool)
-    span = np.ptp(positions[start:], axis=0)
-    return np.asarray(np.linalg.norm(span, axis=1) < STALL_SPAN * unit_length)
+    extent = np.ptp(positions[start:], axis=0)
+    return np.asarray(np.linalg.norm(extent, axis=1) < span * unit_length)
+
+
+def _fraction(condition: BoolArray) -> float | None:
+    return float(condition.mean()) if len(condition) else None

@@ -33,13 +33,19 @@ def random_perceptron(rng, inputs, hidden, outputs, num_frequencies=0):
     return Perceptron(tuple(weights), tuple(biases), features)
 
 
-def random_field(recipe, dim=2, seed=0, sigma=0.4, gain=0.8):
-    """A field of the form of a recipe with untrained networks, off the origin and the unit."""
+def random_field(recipe, dim=2, seed=0, sigma=0.4, gain=0.8, ends=0, support=0):
+    """A field of the form of a recipe with untrained networks, off the origin and the unit.
+
+    Robots come to rest at as many of its waypoints as it has ends; with a support, the
+    exact score is that of as many other points.
+    """
     rng = np.random.default_rng(seed)
     frequencies = 0 if recipe == "paper" else 6
     cloud = PointCloud(3 + 2 * rng.uniform(-1, 1, (30, dim)), shape="random")
+    other = 3 + 2 * np.random.default_rng(seed + 1).uniform(-1, 1, (support, dim))
+    learned = other if support else cloud.points
     score_model = (
-        GaussianMixture(cloud.normalize(cloud.points), sigma)
+        GaussianMixture(cloud.normalize(learned), sigma)
         if recipe == "exact"
         else ScoreNetwork(
             random_perceptron(rng, dim + 1, (9, 8), dim, frequencies),
@@ -57,6 +63,8 @@ def random_field(recipe, dim=2, seed=0, sigma=0.4, gain=0.8):
         composition=composition,
         recipe=recipe,
         seed=seed,
+        support=other if support else None,
+        end_points=cloud.points[:ends] if ends else None,
         provenance={"training": {"iterations": 7, "hidden": [9, 8]}},
     )
 
@@ -69,7 +77,7 @@ def make_perceptron():
 
 @pytest.fixture(scope="session")
 def make_field():
-    """Makes untrained fields: (recipe, dim=2, seed=0, sigma=0.4, gain=0.8)."""
+    """Makes untrained fields; see `random_field`."""
     return random_field
 
 
@@ -91,6 +99,22 @@ def robust_result(concentric):
     from sgvf_drake.learning import train
 
     return train(concentric[0])
+
+
+@pytest.fixture(scope="session")
+def open_cloud():
+    """Six tenths of a circle of radius 3, from (-2.43, -1.76) around to (3, 0)."""
+    angle = np.linspace(0, 1.2 * np.pi, 80)
+    points = 3 * np.column_stack([np.cos(angle), np.sin(angle)])
+    return PointCloud(np.random.default_rng(0).permutation(points))
+
+
+@pytest.fixture(scope="session")
+def open_result(open_cloud):
+    """An open path with the closed-form score, in about 4 s."""
+    from sgvf_drake.learning import TrainingConfig, train
+
+    return train(open_cloud, TrainingConfig(recipe="exact"))
 
 
 @pytest.fixture(scope="session")

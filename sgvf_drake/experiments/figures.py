@@ -10,6 +10,7 @@ from sgvf_drake import plotting
 from sgvf_drake.experiments.fly import FlightResult, PieceFlight
 from sgvf_drake.experiments.follow import FollowResult
 from sgvf_drake.fields import Field, GuidingField
+from sgvf_drake.metrics import FollowMetrics
 from sgvf_drake.paths import PointCloud
 
 
@@ -33,16 +34,22 @@ def follow_figure(field: GuidingField, result: FollowResult, path: Path) -> None
     figure, axes = plotting.new_figure(1, 2, 11, 5.2)
     if field.dim == 2:
         plotting.plot_field(axes[0], field, field.cloud.box)
-    plotting.plot_trajectories(axes[0], result.positions, result.metrics.lapped)
+    followed = result.metrics.lapped | result.metrics.ended
+    plotting.plot_trajectories(axes[0], result.positions, followed)
     plotting.plot_waypoints(axes[0], field.cloud.points)
-    title = (
-        f"{result.metrics.lapped.sum()} of {result.positions.shape[1]} starts complete a lap"
-    )
+    title = f"{followed.sum()} of {len(followed)} starts {_aim(result.metrics)}"
     plotting.plane_axes(axes[0], "unit of the waypoints", title)
     plotting.plot_cross_track(
         axes[1], result.times, result.errors, "unit of the waypoints", "s at unit speed"
     )
     figure.savefig(path, dpi=plotting.DPI)
+
+
+def _aim(metrics: FollowMetrics) -> str:
+    """Returns what the agents are to do on the pieces on which they are in the end."""
+    if metrics.open.all():
+        return "come to rest at the end"
+    return "complete a lap" + (" or come to rest at the end" if metrics.open.any() else "")
 
 
 def flight_figure(

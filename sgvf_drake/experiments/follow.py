@@ -30,7 +30,7 @@ class FollowResult:
         times: (T,) seconds at unit speed, that is, length travelled on the path.
         positions: (T, n, d) in the unit of the field.
         errors: (T, n) cross-track errors in the unit of the field.
-        metrics: Reach, lap, stall, leave and cross-track error.
+        metrics: Reach, lap, end, stall, leave and cross-track error.
         speed_on_path: Smallest and largest |m| on the reference.
         wall_s: Time of the simulation, building and measuring excluded.
     """
@@ -92,7 +92,9 @@ def follow(
         times=times,
         positions=positions,
         errors=errors.reshape(positions.shape[:2]),
-        metrics=follow_metrics(times, positions, unit, field.cloud.box, reference),
+        metrics=follow_metrics(
+            times, positions, unit, field.cloud.box, reference, ends=field.ends
+        ),
         speed_on_path=_speed_on_path(field, reference),
         wall_s=wall_s,
     )

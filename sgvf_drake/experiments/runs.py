@@ -68,6 +68,7 @@ def run_train(
             "unit_length": cloud.unit_length,
             "shape": cloud.shape,
             "digest": cloud.digest,
+            **_path_summary(result, config),
             "train_cpu_s": result.cpu_s,
             "train_wall_s": result.wall_s,
             "self_check_passed": result.self_check.passed,
@@ -79,6 +80,32 @@ def run_train(
         }
         write_summary(folder, summary)
     return summary
+
+
+def _path_summary(result: Any, config: Any) -> dict[str, Any]:
+    """Returns what the training made of the waypoints, in their unit."""
+    support, unit = result.support, result.field.cloud.unit_length
+    # The paper's recipe learns from the waypoints as they are.
+    cleans = result.field.recipe != "paper"
+    return {
+        "pieces": [
+            {
+                "points": len(piece.indices),
+                "closed": piece.closed,
+                "length": piece.length * unit,
+            }
+            for piece in support.pieces
+        ],
+        "ends": result.field.ends,
+        "open": config.open,
+        "direction": config.direction,
+        "start": config.start,
+        "spacing": support.scales.spacing * unit,
+        "noise": support.scales.noise * unit,
+        "gap": support.scales.gap * unit,
+        "dropped": support.dropped if cleans else 0,
+        "resampled": support.resampled and cleans,
+    }
 
 
 def run_follow(
@@ -134,7 +161,7 @@ def run_fly(
         reference: From `choose_reference`; None: the best there is without a file.
         out: The folder of the results.
         speed: Commanded speed, m/s.
-        laps: Lengths of each piece, at least 1.
+        laps: Lengths of each closed piece, at least 1.
         altitude: Height of the flight where the field is planar, m.
         overwrite: Whether results there may be replaced.
         progress: Told how far each simulation is.

@@ -80,9 +80,14 @@ class RobustComposition(Composition):
 
     Attributes:
         sigma: The noise level of the score, normalised units.
+        projects: Whether g is as above, or zero: then the score stops the robot where the
+            density ends, as it should at the end of an open path.
+        tangent_share: What is left of the second term, sech(k_s |S'|) v.
     """
 
     sigma: float
+    projects: bool = True
+    tangent_share: float = 1.0
 
     def tangent(self, N: FloatArray) -> FloatArray:
         return N / _softened_norm(N)[:, None]
@@ -91,7 +96,7 @@ class RobustComposition(Composition):
         v = self.tangent(N)
         normal = S - (self._projection(_dot(S, S)) * _dot(S, v))[:, None] * v
         a, b = _squash_factors(self.gain, _dot(normal, normal))
-        return a[:, None] * normal + b[:, None] * v
+        return a[:, None] * normal + self.tangent_share * b[:, None] * v
 
     def value_and_partials(
         self, S: FloatArray, N: FloatArray
@@ -110,12 +115,15 @@ class RobustComposition(Composition):
 
         a, b = _squash_factors(self.gain, _dot(normal, normal))
         da, db = _squash_slopes(self.gain, _dot(normal, normal))
+        b, db = self.tangent_share * b, self.tangent_share * db
         m = a[:, None] * normal + b[:, None] * v
         weights = da[:, None] * normal + db[:, None] * v
         dm_dn = a[:, None, None] * eye + _outer(weights, normal)
         return m, dm_dn @ dn_dS, (dm_dn @ dn_dv + b[:, None, None] * eye) @ dv_dN
 
     def _projection(self, score_square: FloatArray) -> FloatArray:
+        if not self.projects:
+            return np.zeros_like(score_square)
         ratio = (self.sigma / PROJECTION_RANGE) ** 2 * score_square
         return 1 / (1 + ratio ** (PROJECTION_POWER // 2))
 

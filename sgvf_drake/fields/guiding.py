@@ -10,9 +10,10 @@ import numpy as np
 
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields.base import FloatArray
-from sgvf_drake.fields.composition import Composition
+from sgvf_drake.fields.composition import Composition, RobustComposition
 from sgvf_drake.fields.mixture import GaussianMixture
 from sgvf_drake.fields.perceptron import Perceptron
+from sgvf_drake.fields.rest import Rest
 from sgvf_drake.paths import PointCloud
 
 # The step of the complex-step derivative: no difference is taken, so nothing cancels and
@@ -63,6 +64,10 @@ class GuidingField:
         composition: How S and N make m.
         recipe: `paper`, `robust` or `exact`.
         seed: The seed of the training run.
+        support: The points whose mixture the score is that of, (M, d) in the user's unit;
+            None: the waypoints themselves.
+        end_points: The terminal ends of open paths, (E, d) in the user's unit, at which
+            robots come to rest; None: there are none.
         provenance: The rest of what is known of its making, as plain JSON values.
     """
 
@@ -73,6 +78,8 @@ class GuidingField:
     composition: Composition
     recipe: str
     seed: int
+    support: FloatArray | None = None
+    end_points: FloatArray | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -83,7 +90,13 @@ class GuidingField:
     @property
     def mixture(self) -> GaussianMixture:
         """The exact mixture whose score is learned, in the user's unit."""
-        return GaussianMixture(self.cloud.points, self.sigma * self.cloud.unit_length)
+        points = self.cloud.points if self.support is None else self.support
+        return GaussianMixture(points, self.sigma * self.cloud.unit_length)
+
+    @property
+    def ends(self) -> FloatArray:
+        """The terminal ends of open paths, (E, d) in the user's unit; E may be zero."""
+        return np.empty((0, self.dim)) if self.end_points is None else self.end_points
 
     def __call__(self, x: FloatArray) -> FloatArray:
         """Returns m(x): (d,) -> (d,), or (n, d) -> (n, d).
@@ -93,7 +106,11 @@ class GuidingField:
         """
         z, shape = self._normalized(x)
         S, N = self.score_model.score(z), self.tangent_network(z)
-        return self.composition.value(S, N).reshape(shape)
+        m = self.composition.value(S, N)
+        if self._rest is not None:
+            w = self._rest.weight(z)[:, None]
+            m = (1 - w) * m + w * self._rest.composition.value(S, N)
+        return m.reshape(shape)
 
     def value_and_jacobian(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Returns m(x), and J[..., i, j] = dm_i/dx_j of shape (d, d) or (n, d, d)."""
@@ -131,7 +148,12 @@ class GuidingField:
         """
         if not (np.isfinite(factor) and factor > 0):
             raise ConfigurationError(f"the scale must be a positive number, not {factor}")
-        return replace(self, cloud=PointCloud(self.cloud.points * factor))
+        support, ends = (
+            None if points is None else points * factor
+            for points in (self.support, self.end_points)
+        )
+        cloud = PointCloud(self.cloud.points * factor)
+        return replace(self, cloud=cloud, support=support, end_points=ends)
 
     @property
     def approach_length(self) -> float:
@@ -166,7 +188,21 @@ class GuidingField:
         S, dS = self.score_model.score_and_jacobian(z)
         N, dN = self.tangent_network.value_and_jacobian(z)
         m, by_score, by_tangent = self.composition.value_and_partials(S, N)
-        return m, by_score @ dS + by_tangent @ dN
+        J = by_score @ dS + by_tangent @ dN
+        if self._rest is None:
+            return m, J
+        w, dw = self._rest.weight_and_gradient(z)
+        rest, by_score, by_tangent = self._rest.composition.value_and_partials(S, N)
+        change = rest - m
+        J_rest = by_score @ dS + by_tangent @ dN
+        J = J + w[:, None, None] * (J_rest - J) + change[:, :, None] * dw[:, None, :]
+        return m + w[:, None] * change, J
+
+    @cached_property
+    def _rest(self) -> Rest | None:
+        if len(self.ends) == 0 or not isinstance(self.composition, RobustComposition):
+            return None
+        return Rest.at(self.cloud.normalize(self.ends), self.composition)
 
     def _normalized(self, x: FloatArray) -> tuple[FloatArray, tuple[int, ...]]:
         x = np.asarray(x, dtype=np.float64)

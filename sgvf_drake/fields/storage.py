@@ -29,6 +29,8 @@ from sgvf_drake.paths import PointCloud
 HEADER_KEY = "sgvf_drake.field"
 VERSION = 1
 POINTS_KEY = "cloud.points"
+SUPPORT_KEY = "support.points"
+ENDS_KEY = "ends.points"
 # Float64, as safetensors names it.
 DTYPE = "F64"
 
@@ -50,6 +52,10 @@ def save_field(
     tensors = {POINTS_KEY: field.cloud.points, **_pack("tangent", field.tangent_network)}
     if isinstance(field.score_model, ScoreNetwork):
         tensors |= _pack("score", field.score_model.network)
+    if field.support is not None:
+        tensors[SUPPORT_KEY] = field.support
+    if field.end_points is not None:
+        tensors[ENDS_KEY] = field.end_points
     contiguous = {key: np.ascontiguousarray(value) for key, value in tensors.items()}
     data = save(contiguous, {HEADER_KEY: json.dumps(_header(field))})
     # In the folder of the target, so that the last step is an atomic rename.
@@ -127,9 +133,15 @@ def _field(header: Any, tensors: Tensors) -> GuidingField:
     if (header["center"], header["unit_length"]) != (cloud.center.tolist(), cloud.unit_length):
         raise ValueError("the normalisation is not that of the waypoints")
     sigma = _positive(header, "sigma")
+    for key, fewest in ((SUPPORT_KEY, 1), (ENDS_KEY, 0)):
+        if key in tensors:
+            count = max(fewest, tensors[key].size // cloud.dim)
+            _check_shape(key, tensors[key], (count, cloud.dim))
     return GuidingField(
         cloud=cloud,
         sigma=sigma,
+        support=tensors.get(SUPPORT_KEY),
+        end_points=tensors.get(ENDS_KEY),
         score_model=_score_model(header, tensors, cloud, sigma),
         tangent_network=_unpack("tangent", tensors, cloud.dim, cloud.dim),
         composition=_composition(header, sigma),
@@ -166,7 +178,7 @@ def _score_model(
     header: Mapping[str, Any], tensors: Tensors, cloud: PointCloud, sigma: float
 ) -> ScoreNetwork | GaussianMixture:
     if header["score_scale"] is None:
-        return GaussianMixture(cloud.normalize(cloud.points), sigma)
+        return GaussianMixture(cloud.normalize(tensors.get(SUPPORT_KEY, cloud.points)), sigma)
     network = _unpack("score", tensors, cloud.dim + 1, cloud.dim)
     return ScoreNetwork(network, _positive(header, "score_scale"))
 

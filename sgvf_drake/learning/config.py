@@ -1,13 +1,14 @@
 """What a training run is asked to do: the recipe, and what the user overrides of it."""
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 import math
 import operator
 from typing import Any, Literal, get_args
 
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.learning.scales import SIGMA_DEFAULT, CloudScales
+from sgvf_drake.learning.direction import DIRECTIONS, Direction
+from sgvf_drake.learning.scales import SIGMA_DEFAULT
 
 Recipe = Literal["paper", "robust", "exact"]
 RECIPES: tuple[Recipe, ...] = get_args(Recipe)
@@ -16,7 +17,9 @@ GAIN_PER_SIGMA = 2.0
 # Of the robust recipe at the default noise level; a finer level takes more of each.
 FREQUENCY_STD = 2.0
 SCORE_ITERATIONS = 1_500
-TANGENT_ITERATIONS = 1_200
+TANGENT_ITERATIONS = 1_000
+# Each restart adds this share of the first attempt's widths and iterations.
+GROWTH = 0.5
 
 
 @dataclass(frozen=True)
@@ -28,6 +31,11 @@ class TrainingConfig:
             `exact` (the closed-form score of the Gaussian mixture in place of a network).
         seed: Of every random number of the run; the same seed gives the same field on the
             same machine.
+        open: Whether the pieces are open paths, at whose ends robots come to rest; None:
+            what the cloud looks like.
+        direction: `ccw` or `cw` (closed pieces in the plane) or `reverse` (of the rule), for
+            all pieces or a tuple with one for each (None: the rule), the longest first.
+        start: A point near which open paths start, (d,) in the unit of the waypoints.
         max_restarts: How often a field that fails its self-check is trained again with
             another seed.
         sigma_min: Noise level at the data end, normalised units (half-extent 4).
@@ -46,6 +54,9 @@ class TrainingConfig:
 
     recipe: Recipe = "robust"
     seed: int = 0
+    open: bool | None = None
+    direction: Direction | tuple[Direction | None, ...] | None = None
+    start: tuple[float, ...] | None = None
     max_restarts: int | None = None
     sigma_min: float | None = None
     gain: float | None = None
@@ -70,11 +81,15 @@ class TrainingConfig:
             except (TypeError, ValueError, OverflowError):
                 raise ConfigurationError(f"{name} cannot be {value!r}") from None
 
-    def resolved(self, scales: CloudScales) -> "Settings":
-        """Returns every value of the run, for a cloud of these scales."""
-        given = {name: value for name, value in asdict(self).items() if value is not None}
+    def resolved(self, sigma: float) -> "Settings":
+        """Returns every value of the run, where the cloud asks for a noise level."""
+        given = {
+            name: value
+            for name, value in asdict(self).items()
+            if value is not None and name not in _OF_THE_PATH
+        }
         defaults = _PAPER if self.recipe == "paper" else _ROBUST
-        values = {"sigma_min": scales.sigma_min, **defaults, **given}
+        values = {"sigma_min": sigma, **defaults, **given}
         values.setdefault("gain", GAIN_PER_SIGMA * values["sigma_min"])
         # A finer level has more to learn: features of more detail, in more iterations.
         detail = max(1.0, SIGMA_DEFAULT / values["sigma_min"])
@@ -86,7 +101,7 @@ class TrainingConfig:
 
 @dataclass(frozen=True)
 class Settings:
-    """A `TrainingConfig` with every value filled in; the names mean the same."""
+    """What is learned with, every value filled in; the names are `TrainingConfig`'s."""
 
     recipe: Recipe
     seed: int
@@ -98,6 +113,17 @@ class Settings:
     score_iterations: int
     tangent_hidden: tuple[int, ...]
     tangent_iterations: int
+
+    def grown(self, attempt: int) -> "Settings":
+        """Returns the settings of a later attempt: wider networks, more iterations."""
+        factor = 1 + GROWTH * attempt
+        return replace(
+            self,
+            score_hidden=tuple(round(factor * width) for width in self.score_hidden),
+            score_iterations=round(factor * self.score_iterations),
+            tangent_hidden=tuple(round(factor * width) for width in self.tangent_hidden),
+            tangent_iterations=round(factor * self.tangent_iterations),
+        )
 
 
 def _natural(value: Any) -> int:
@@ -126,8 +152,31 @@ def _widths(value: Any) -> tuple[int, ...]:
     return tuple(_count(width) for width in value)
 
 
+def _point(value: Any) -> tuple[float, ...]:
+    point = tuple(float(coordinate) for coordinate in value)
+    if not all(map(math.isfinite, point)):
+        raise ValueError
+    return point
+
+
+def _flag(value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise ValueError
+    return value
+
+
+def _direction(value: Any) -> Any:
+    choices = (value,) if isinstance(value, str) else tuple(value)
+    if not set(choices) <= {*DIRECTIONS, None}:
+        raise ValueError
+    return value if isinstance(value, str) else choices
+
+
 _CONVERT: dict[str, Callable[[Any], Any]] = {
     "seed": _natural,
+    "open": _flag,
+    "direction": _direction,
+    "start": _point,
     "max_restarts": _natural,
     "sigma_min": _positive,
     "gain": _positive,
@@ -137,6 +186,8 @@ _CONVERT: dict[str, Callable[[Any], Any]] = {
     "tangent_hidden": _widths,
     "tangent_iterations": _count,
 }
+# What is asked of the path, and not of the learning.
+_OF_THE_PATH = ("open", "direction", "start")
 # Paper, Section V-A: networks, iterations and k_s.  No restarts: it is there to be compared.
 _PAPER: dict[str, Any] = {
     "max_restarts": 0,

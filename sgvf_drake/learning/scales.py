@@ -4,7 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.spatial import cKDTree
+from scipy.stats import chi2
 
 from sgvf_drake.fields import FloatArray
 from sgvf_drake.paths import TracedPiece
@@ -27,8 +29,13 @@ STRAND_RATIO = 5.0
 WIDEST_GAP = SIGMA_DEFAULT / SIGMA_PER_GAP
 # Waypoints that are enough to find the gaps; of more, an even selection is taken.
 GAP_WAYPOINTS = 4_000
-# Neighbours in the local fit that estimates the noise.
-FIT_NEIGHBOURS = 8
+# Waypoints in a run whose scatter about a parabola is noise: few, so that sparse waypoints
+# on a bend still count as one.
+RUN = 5
+# Waypoints farther apart than this (in U) cannot tell noise from corners: runs of them hold
+# little else.  Their noise is taken to be at most this share of the spacing.
+SPARSE = 0.3
+NOISE_PER_SPACING = 0.15
 
 
 @dataclass(frozen=True)
@@ -46,17 +53,26 @@ class CloudScales:
     gap: float
 
     @property
-    def sigma_min(self) -> float:
-        """The noise level to learn at: below the gaps, above spacing and noise."""
-        fine = min(SIGMA_DEFAULT, SIGMA_PER_GAP * self.gap)
-        coarse = max(SIGMA_PER_SPACING * self.spacing, SIGMA_PER_NOISE * self.noise)
-        return min(max(fine, coarse), SIGMA_CEILING)
+    def fine_sigma(self) -> float:
+        """The noise level that the path asks for: below its gaps."""
+        return min(SIGMA_DEFAULT, SIGMA_PER_GAP * self.gap)
+
+    @property
+    def coarse_sigma(self) -> float:
+        """The noise level that the waypoints ask for: above their spacing and noise."""
+        wanted = max(SIGMA_PER_SPACING * self.spacing, SIGMA_PER_NOISE * self.noise)
+        return min(wanted, SIGMA_CEILING)
 
 
 def cloud_scales(points: FloatArray, pieces: Sequence[TracedPiece]) -> CloudScales:
     """Measures the scales of a normalised cloud, (N, d)."""
     length = sum(piece.length for piece in pieces)
-    return CloudScales(length / len(points), _noise(points), _gap(points, pieces))
+    # Copies of a waypoint are no nearer to the next one.
+    spacing = length / len(np.unique(points, axis=0))
+    noise = _noise(points, pieces)
+    if spacing > SPARSE:
+        noise = min(noise, NOISE_PER_SPACING * spacing)
+    return CloudScales(spacing, noise, _gap(points, pieces))
 
 
 def _gap(points: FloatArray, pieces: Sequence[TracedPiece]) -> float:
@@ -77,24 +93,32 @@ def _gap(points: FloatArray, pieces: Sequence[TracedPiece]) -> float:
     return float(across[strands].min(initial=WIDEST_GAP))
 
 
-def _noise(points: FloatArray) -> float:
-    """Median residual of a parabola through the neighbours of each waypoint.
+def _noise(points: FloatArray, pieces: Sequence[TracedPiece]) -> float:
+    """Median residual of parabolas through runs of waypoints along their piece.
 
-    A parabola, so that the bend of the path does not count as noise; the median, so that
-    corners do not.
+    Parabolas, so that the bend of the path does not count as noise; along the piece, so that
+    other strands do not; the median, so that corners do not.
     """
-    count = min(FIT_NEIGHBOURS, len(points))
-    if count <= 4:
-        return 0.0
-    _, neighbours = cKDTree(points).query(points, k=count)
-    local = points[neighbours] - points[neighbours].mean(axis=1, keepdims=True)
+    residuals = [_residuals(points[piece.order], piece.closed) for piece in pieces]
+    squares = np.concatenate(residuals)
+    # A residual has as many degrees of freedom as the run has spare waypoints, across.
+    freedom = (RUN - 3) * (points.shape[1] - 1)
+    return float(np.sqrt(np.median(squares) / chi2.median(freedom))) if len(squares) else 0.0
+
+
+def _residuals(chain: FloatArray, closed: bool) -> FloatArray:
+    """Sums of squared residuals across the path, one for each run of `RUN` waypoints."""
+    if len(chain) < RUN:
+        return np.empty(0)
+    if closed:
+        chain = np.concatenate([chain, chain[: RUN - 1]])
+    runs = np.swapaxes(sliding_window_view(chain, RUN, axis=0), 1, 2)
+    local = runs - runs.mean(axis=1, keepdims=True)
     _, _, axes = np.linalg.svd(local, full_matrices=False)
-    along = np.einsum("nki,ni->nk", local, axes[:, 0])
-    across = np.einsum("nki,ni->nk", local, axes[:, 1])
+    rotated = local @ np.swapaxes(axes, 1, 2)
+    along, across = rotated[:, :, :1], rotated[:, :, 1:]
     scale = np.abs(along).max(axis=1, keepdims=True)
     u = np.divide(along, scale, out=np.zeros_like(along), where=scale > 0)
-    design = np.stack([np.ones_like(u), u, u**2], axis=2)
-    coefficients = np.linalg.pinv(design) @ across[:, :, None]
-    fit = (design @ coefficients)[:, :, 0]
-    residuals = ((across - fit) ** 2).sum(axis=1) / (count - 3)
-    return float(np.sqrt(np.median(residuals)))
+    design = np.concatenate([np.ones_like(u), u, u**2], axis=2)
+    fit = design @ (np.linalg.pinv(design) @ across)
+    return np.asarray(((across - fit) ** 2).sum(axis=(1, 2)))

@@ -12,7 +12,7 @@ from sgvf_drake.learning.schedule import NoiseSchedule
 COMPRESSION_RADIUS = 3.0
 # Shares of a robust batch: at t = 1 instead of uniform t, and uniform in the box instead of
 # around a waypoint.
-DATA_END_SHARE = 0.5
+DATA_END_SHARE = 0.75
 BOX_SHARE = 0.3
 # Half-size of the box of the normalised cloud, 1.25 half-extents of 4.
 BOX_HALF_SIZE = 5.0

@@ -2,14 +2,16 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 import time
 
 import numpy as np
 import pandas as pd
+from scipy.spatial import cKDTree
 import torch
 from torch import Tensor
 
+from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import (
     Composition,
     FloatArray,
@@ -20,10 +22,10 @@ from sgvf_drake.fields import (
     ScoreNetwork,
 )
 from sgvf_drake.learning.config import Settings, TrainingConfig
+from sgvf_drake.learning.direction import directed
 from sgvf_drake.learning.networks import Network
 from sgvf_drake.learning.optimization import Optimization, optimize
 from sgvf_drake.learning.orientation import orientation_hint
-from sgvf_drake.learning.scales import cloud_scales
 from sgvf_drake.learning.schedule import NoiseSchedule
 from sgvf_drake.learning.score_matching import (
     mixture_score,
@@ -31,8 +33,9 @@ from sgvf_drake.learning.score_matching import (
     robust_score_loss,
 )
 from sgvf_drake.learning.self_check import SelfCheck, check_field
+from sgvf_drake.learning.support import Support, find_support
 from sgvf_drake.learning.tangent import Score, paper_tangent_loss, robust_tangent_loss
-from sgvf_drake.paths import PointCloud, TracedPiece, trace_pieces
+from sgvf_drake.paths import PointCloud
 from sgvf_drake.progress import Progress, no_progress
 
 # Paper, Section V-A.
@@ -52,7 +55,8 @@ class TrainingResult:
 
     Attributes:
         field: The field of the last attempt; check `self_check.passed`.
-        settings: The configuration with every value filled in.
+        settings: The configuration with every value filled in, those of the first attempt.
+        support: The points that were learned from, and the scales that were found.
         self_check: What following the field from the path itself showed.
         restarts: How many attempts failed their self-check before this one.
         history: Loss terms: columns stage, iteration, one a term, total.
@@ -62,6 +66,7 @@ class TrainingResult:
 
     field: GuidingField
     settings: Settings
+    support: Support
     self_check: SelfCheck
     restarts: int
     history: pd.DataFrame
@@ -76,9 +81,9 @@ def train(
 ) -> TrainingResult:
     """Trains a guiding field for a cloud of waypoints.
 
-    After training, the field is followed from the path of every piece; where it does not
-    complete a lap, training starts again with another seed, at most
-    ``max_restarts`` times.  A field that fails to the end is returned all the same,
+    After training, the field is followed from every piece and from around it; where that
+    fails, training starts again with another seed, wider networks and more iterations, at
+    most ``max_restarts`` times.  A field that fails to the end is returned all the same,
     with ``self_check.passed`` false.
 
     Args:
@@ -87,18 +92,19 @@ def train(
         progress: Called with (stage, done, total) now and then.
     """
     wall, cpu = time.perf_counter(), time.process_time()
-    points = cloud.normalize(cloud.points)
-    pieces = trace_pieces(points)
-    settings = (config or TrainingConfig()).resolved(cloud_scales(points, pieces))
+    config = config or TrainingConfig()
+    support = _directed_support(cloud, config)
+    settings = config.resolved(support.sigma)
     for attempt in range(settings.max_restarts + 1):
         with _torch_session(settings.seed, attempt):
-            field, history = _train_once(cloud, points, pieces, settings, progress)
-        self_check = check_field(field)
+            field, history = _train_once(cloud, support, settings.grown(attempt), progress)
+        self_check = check_field(field, support)
         if self_check.passed:
             break
     return TrainingResult(
         field=field,
         settings=settings,
+        support=support,
         self_check=self_check,
         restarts=attempt,
         history=history,
@@ -107,15 +113,37 @@ def train(
     )
 
 
+def _directed_support(cloud: PointCloud, config: TrainingConfig) -> Support:
+    closed = None if config.open is None else not config.open
+    support = find_support(cloud.normalize(cloud.points), config.sigma_min, closed)
+    start = None
+    if config.start is not None:
+        if len(config.start) != cloud.dim:
+            raise ConfigurationError(
+                f"start has {len(config.start)} coordinates, the waypoints have {cloud.dim}"
+            )
+        start = cloud.normalize(np.array(config.start))
+    velocities = None
+    if cloud.velocities is not None:
+        # Those of the nearest waypoint: the points may be new ones.
+        nearest = cKDTree(cloud.points).query(cloud.denormalize(support.points))[1]
+        velocities = cloud.velocities[nearest]
+    pieces = directed(support.points, support.pieces, config.direction, start, velocities)
+    return replace(support, pieces=pieces)
+
+
 def _train_once(
-    cloud: PointCloud,
-    points: FloatArray,
-    pieces: tuple[TracedPiece, ...],
-    settings: Settings,
-    progress: Progress,
+    cloud: PointCloud, support: Support, settings: Settings, progress: Progress
 ) -> tuple[GuidingField, pd.DataFrame]:
-    fit = _fit_paper if settings.recipe == "paper" else _fit_robust
-    parts = fit(points, pieces, settings, progress)
+    if settings.recipe == "paper":
+        # To the letter: from the waypoints as they are.
+        parts = _fit_paper(cloud.normalize(cloud.points), settings, progress)
+        points = ends = None
+    else:
+        parts = _fit_robust(support, settings, progress)
+        points = cloud.denormalize(support.points)
+        last = [piece.order[-1] for piece in support.pieces if not piece.closed]
+        ends = points[last] if last else None
     field = GuidingField(
         cloud=cloud,
         sigma=settings.sigma_min,
@@ -124,6 +152,8 @@ def _train_once(
         composition=parts.composition,
         recipe=settings.recipe,
         seed=settings.seed,
+        support=points,
+        end_points=ends,
         provenance={"training": asdict(settings)},
     )
     return field, pd.concat(parts.histories, ignore_index=True)
@@ -139,12 +169,7 @@ class _Parts:
     histories: list[pd.DataFrame]
 
 
-def _fit_paper(
-    points: FloatArray,
-    pieces: tuple[TracedPiece, ...],
-    settings: Settings,
-    progress: Progress,
-) -> _Parts:
+def _fit_paper(points: FloatArray, settings: Settings, progress: Progress) -> _Parts:
     """Algorithms 1 and 2 to the letter; the spanning tree is not asked."""
     dim = points.shape[1]
     data = torch.as_tensor(points, dtype=torch.float32)
@@ -169,13 +194,9 @@ def _fit_paper(
     )
 
 
-def _fit_robust(
-    points: FloatArray,
-    pieces: tuple[TracedPiece, ...],
-    settings: Settings,
-    progress: Progress,
-) -> _Parts:
+def _fit_robust(support: Support, settings: Settings, progress: Progress) -> _Parts:
     """The robust recipe, and the exact one: the same tangent on the closed-form score."""
+    points = support.points
     dim = points.shape[1]
     data = torch.as_tensor(points, dtype=torch.float32)
     sigma = settings.sigma_min
@@ -190,7 +211,7 @@ def _fit_robust(
         frozen = _score_at_data_end(network, scale=sigma)
         histories.append(history)
 
-    hint = torch.as_tensor(orientation_hint(points, pieces, sigma), dtype=torch.float32)
+    hint = torch.as_tensor(orientation_hint(points, support.pieces, sigma), dtype=torch.float32)
     tangent = Network(
         dim, settings.tangent_hidden, dim, ROBUST_FREQUENCIES, settings.frequency_std
     )

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sgvf_drake.exceptions import PointCloudError
-from sgvf_drake.paths.reading import read_points
+from sgvf_drake.paths.reading import read_waypoints
 
 FloatArray = NDArray[np.float64]
 
@@ -36,19 +36,28 @@ class PointCloud:
         points: (N, d) float64, a read-only copy, in the user's unit of length; N >= 2,
             d >= 2.  Waypoints may coincide, but not all of them.
         shape: Name of the shape that they were sampled from, if any.
+        velocities: (N, d) float64, a read-only copy: how a robot moved that recorded the
+            waypoints, zero where that is not known, or None.  They settle the direction of
+            travel and nothing else, so their unit does not matter.
 
     Raises:
         PointCloudError: if the points are not such an array, not finite, or so close
-            together that float64 cannot resolve them.
+            together that float64 cannot resolve them; if the velocities are not as many,
+            or not finite.
     """
 
     points: FloatArray
     shape: str | None = None
+    velocities: FloatArray | None = None
 
     def __post_init__(self) -> None:
         points = _as_points(self.points)
         points.flags.writeable = False
         object.__setattr__(self, "points", points)
+        if self.velocities is not None:
+            velocities = _as_velocities(self.velocities, points.shape)
+            velocities.flags.writeable = False
+            object.__setattr__(self, "velocities", velocities)
         _check_extent(points, self.half_extent)
 
     @classmethod
@@ -57,12 +66,15 @@ class PointCloud:
     ) -> "PointCloud":
         """Reads a .csv, .txt or .npy file; see `sgvf_drake.paths.read_points`.
 
+        Columns named vx, vy (and vz), beside those of the coordinates, are velocities; see
+        `sgvf_drake.paths.reading.read_waypoints`.
+
         Raises:
             PointCloudError: if the file, a line or a value cannot be used.
         """
-        points = read_points(path, columns)
+        points, velocities = read_waypoints(path, columns)
         try:
-            return cls(points)
+            return cls(points, velocities=velocities)
         except PointCloudError as error:
             raise PointCloudError(f"{path}: {error}") from error
 
@@ -101,7 +113,7 @@ class PointCloud:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of the array's shape, type and bytes, in hexadecimal."""
+        """SHA-256 of the shape, type and bytes of the points, in hexadecimal."""
         header = f"{self.points.shape} {self.points.dtype.str} "
         return hashlib.sha256(header.encode() + self.points.tobytes()).hexdigest()
 
@@ -141,6 +153,22 @@ def _as_points(values: ArrayLike) -> FloatArray:
     if len(bad):
         raise PointCloudError(f"waypoint {bad[0]} is not finite: {points[bad[0]].tolist()}")
     return points
+
+
+def _as_velocities(values: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
+    """Returns a finite copy of the shape of the points."""
+    try:
+        velocities = np.array(values, dtype=np.float64, order="C")
+    except (TypeError, ValueError) as error:
+        raise PointCloudError(f"velocities must be real numbers: {error}") from error
+    if velocities.shape != shape:
+        raise PointCloudError(
+            f"velocities are an array {velocities.shape}, but the waypoints are {shape}"
+        )
+    bad = np.flatnonzero(~np.isfinite(velocities).all(axis=1))
+    if len(bad):
+        raise PointCloudError(f"velocity {bad[0]} is not finite: {velocities[bad[0]].tolist()}")
+    return velocities
 
 
 def _check_extent(points: FloatArray, half_extent: float) -> None:

@@ -21,6 +21,9 @@ IntArray = NDArray[np.intp]
 COORDINATE_NAME = re.compile(r"^([xyz])([_ \[(].*)?$", re.IGNORECASE)
 """Column names that are coordinates: "x", "y_m", "Z [m]", "x(t)"."""
 
+VELOCITY_NAME = re.compile(r"^v_?([xyz])([_ \[(].*)?$", re.IGNORECASE)
+"""Column names that are velocities: "vx", "vy_mps", "Vz [m/s]", "v_x"."""
+
 MOST_UNNAMED_COLUMNS = 3
 """A file without known names and with no more columns than this holds coordinates only."""
 
@@ -30,12 +33,16 @@ DELIMITERS = (";", ",", "\t")
 
 @dataclass(frozen=True, eq=False)
 class _Table:
-    """The fields of a text file: `names` (or None) and `rows`, with their line numbers."""
+    """The fields of a text file: `names` (or None) and `rows`, with their line numbers.
+
+    The `values` of a .npy file are there at once; it has one row, for its width.
+    """
 
     path: Path
     names: list[str] | None
     rows: list[list[str]]
     lines: list[int]
+    values: FloatArray | None = None
 
     @property
     def num_columns(self) -> int:
@@ -70,20 +77,54 @@ def read_points(
     Raises:
         PointCloudError: if the file cannot be read, or a line or a column cannot be used.
     """
-    path = Path(path)
+    table = _open(path)
+    return _numbers(table, _choose(table, _listed(columns)))
+
+
+def read_waypoints(
+    path: str | Path, columns: str | Sequence[str | int] | None = None
+) -> tuple[FloatArray, FloatArray | None]:
+    """Reads waypoints as `read_points` does, and the velocities beside them.
+
+    Velocities are the columns named like vx, vy and vz, of the same axes as the coordinates
+    that are taken.  Coordinates of other names have them if both are as many.  Where a name
+    occurs twice, as in vx_mps and vx_std, the plain "vx" is meant, or else none.
+
+    Args:
+        path: a .npy file with an array (N, columns), or else a text file.
+        columns: the columns of the coordinates.
+
+    Returns:
+        The waypoints (N, d) and their velocities (N, d), finite; None where the file names
+        none for every coordinate.
+
+    Raises:
+        PointCloudError: if the file cannot be read, or a line or a column cannot be used.
+    """
+    table = _open(path)
+    chosen = _choose(table, _listed(columns))
+    moving = _velocity_columns(table, chosen)
+    return _numbers(table, chosen), _numbers(table, moving) if moving else None
+
+
+def _listed(columns: str | Sequence[str | int] | None) -> Sequence[str | int] | None:
     if isinstance(columns, str):
-        columns = [name.strip() for name in columns.split(",")]
+        return [name.strip() for name in columns.split(",")]
+    return columns
+
+
+def _open(path: str | Path) -> "_Table":
+    path = Path(path)
     if path.is_dir():
         raise PointCloudError(f"{path} is a folder, not a file of waypoints")
     if not path.exists():
         raise PointCloudError(f"{path}: there is no such file")
     if path.suffix.lower() == ".npy":
-        return _read_npy(path, columns)
-    table = _read_table(path)
-    return _numbers(table, _choose(table, columns))
+        return _read_npy(path)
+    return _read_table(path)
 
 
-def _read_npy(path: Path, columns: Sequence[str | int] | None) -> FloatArray:
+def _read_npy(path: Path) -> _Table:
     try:
         array = np.load(path, allow_pickle=False)
     except (ValueError, EOFError, OSError) as error:
@@ -93,12 +134,7 @@ def _read_npy(path: Path, columns: Sequence[str | int] | None) -> FloatArray:
         raise PointCloudError(f"{path} holds {kind}, not real numbers")
     if array.ndim != 2 or array.size == 0:
         raise PointCloudError(f"{path} holds an array {array.shape}; need (N, d) waypoints")
-    table = _Table(path, None, [[""] * array.shape[1]], [0])
-    points = array[:, _choose(table, columns)].astype(np.float64)
-    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
-    if len(bad):
-        raise PointCloudError(f"{path}, waypoint {bad[0]}: {points[bad[0]]} is not finite")
-    return points
+    return _Table(path, None, [[""] * array.shape[1]], [0], array.astype(np.float64))
 
 
 def _read_table(path: Path) -> _Table:
@@ -197,11 +233,7 @@ def _choose(table: _Table, columns: Sequence[str | int] | None) -> list[int]:
 
 def _coordinate_columns(table: _Table) -> list[int] | None:
     """The columns named x, y and z, in this order; or all of them, if they are few."""
-    by_axis: dict[str, list[int]] = {}
-    for number, name in enumerate(table.names or []):
-        match = COORDINATE_NAME.match(name)
-        if match:
-            by_axis.setdefault(match[1].lower(), []).append(number)
+    by_axis = _by_axis(table, COORDINATE_NAME)
     if "x" in by_axis and "y" in by_axis:
         if any(len(candidates) > 1 for candidates in by_axis.values()):
             return None
@@ -209,6 +241,40 @@ def _coordinate_columns(table: _Table) -> list[int] | None:
     if table.num_columns <= MOST_UNNAMED_COLUMNS:
         return list(range(table.num_columns))
     return None
+
+
+def _velocity_columns(table: _Table, chosen: list[int]) -> list[int] | None:
+    """The columns of the velocities that belong to chosen coordinates, if there are any."""
+    by_axis = {
+        axis: column
+        for axis, candidates in _by_axis(table, VELOCITY_NAME).items()
+        if (column := _plain_one(table, candidates)) is not None
+    }
+    matches = [COORDINATE_NAME.match(table.names[column]) for column in chosen if table.names]
+    axes = [match[1].lower() for match in matches if match]
+    if len(axes) < len(chosen):
+        axes = sorted(by_axis)
+    columns = [by_axis[axis] for axis in axes if axis in by_axis]
+    fits = len(columns) == len(chosen) and not set(columns) & set(chosen)
+    return columns if fits else None
+
+
+def _by_axis(table: _Table, pattern: re.Pattern[str]) -> dict[str, list[int]]:
+    """The numbers of the columns whose names match, by the letter of their axis."""
+    by_axis: dict[str, list[int]] = {}
+    for number, name in enumerate(table.names or []):
+        match = pattern.match(name)
+        if match:
+            by_axis.setdefault(match[1].lower(), []).append(number)
+    return by_axis
+
+
+def _plain_one(table: _Table, candidates: list[int]) -> int | None:
+    """The only candidate, or the only one whose name has nothing added."""
+    names = table.names or []
+    plain = [column for column in candidates if len(names[column].replace("_", "")) == 2]
+    best = plain if len(candidates) > 1 else candidates
+    return best[0] if len(best) == 1 else None
 
 
 def _column_number(table: _Table, column: str | int) -> int:
@@ -245,6 +311,14 @@ def _number(field: str) -> float:
 
 
 def _numbers(table: _Table, chosen: list[int]) -> FloatArray:
+    if table.values is not None:
+        points = table.values[:, chosen]
+        bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+        if len(bad):
+            raise PointCloudError(
+                f"{table.path}, waypoint {bad[0]}: {points[bad[0]]} is not finite"
+            )
+        return points
     points = np.empty((len(table.rows), len(chosen)))
     for axis, column in enumerate(chosen):
         values = []

@@ -13,7 +13,8 @@ import pytest
 from safetensors.numpy import save_file
 
 from sgvf_drake import __version__, load_field
-from sgvf_drake.cli import main
+from sgvf_drake.cli import DirectionName, main
+from sgvf_drake.learning.direction import DIRECTIONS
 
 SHAPE = ("--shape", "concentric-flight", "--num-points", "100")
 TRAIN = ("train", "--recipe", "exact", *SHAPE)
@@ -22,7 +23,10 @@ FOLLOW_FILES = {"summary.json", "trajectories.parquet", "follow.png"}
 FLY_FILES = {"summary.json"} | {
     f"flight_{n}.{kind}" for n in (1, 2) for kind in ("png", "parquet")
 }
+ARC = ("--points", "{inputs}/arc.csv")
 TRAIN_KEYS = {
+    *("pieces", "ends", "open", "direction", "start", "spacing", "noise", "gap", "dropped"),
+    "resampled",
     *("recipe", "seed", "num_points", "dim", "unit_length", "train_cpu_s", "train_wall_s"),
     *("self_check_passed", "restarts"),
 }
@@ -34,7 +38,7 @@ FOLLOW_KEYS = {
 FLY_KEYS = {
     *("cross_track_rms_m", "cross_track_max_m", "speed_mean_m_s", "altitude_rms_m"),
     *("motor_force_max_n", "saturated_fraction", "laps", "real_time_factor", "reference"),
-    "pieces",
+    *("pieces", "ended"),
 }
 
 
@@ -82,6 +86,7 @@ def inputs(tmp_path_factory, trained):
         "text.csv": "x,y\n0,0\n1,here\n2,1\n",
         "ragged.csv": "x,y\n0,0\n1,1\n2,1,5\n",
         "one.csv": "x,y\n0,0\n",
+        "bad_velocity.csv": "x,y,vx,vy\n0,0,1,0\n1,0,fast,0\n2,1,1,1\n",
         "same.csv": "x,y\n" + "1,2\n" * 9,
         "thin.csv": "1\n2\n3\n4\n",
         "spatial.csv": "0 0 0\n1 0 0\n1 1 1\n",
@@ -91,6 +96,17 @@ def inputs(tmp_path_factory, trained):
     for name, text in texts.items():
         (folder / name).write_text(text)
     np.savetxt(folder / "good.csv", points, delimiter=",", header="x,y", comments="")
+    angle = np.linspace(np.pi, 0, 60)
+    arc = pd.DataFrame({"x": 2 * np.cos(angle), "y": 2 * np.sin(angle)})
+    arc.to_csv(folder / "arc.csv", index=False)
+    angle = 2 * np.pi * np.arange(200) / 200
+    ring = pd.DataFrame({"x": 3 * np.cos(angle), "y": 3 * np.sin(angle)})
+    ring.to_csv(folder / "ring.csv", index=False)
+    strayed = pd.concat([ring, pd.DataFrame({"x": [0.3, -1.0], "y": [0.0, 1.0]})])
+    strayed.to_csv(folder / "strayed.csv", index=False)
+    # Recorded from the right to the left.
+    moving = arc.assign(vx=-arc["y"], vy=arc["x"])
+    moving.to_csv(folder / "moving.csv", index=False)
     np.save(folder / "flat.npy", np.arange(8.0))
     whole = (trained / "field.safetensors").read_bytes()
     (folder / "damaged.safetensors").write_bytes(whole[: len(whole) // 2])
@@ -105,6 +121,21 @@ def inputs(tmp_path_factory, trained):
 # What the commands leave.
 
 
+def check_pieces(summary):
+    """Circles of 2 m and 1 m, of 67 and 33 points, in the unit of the waypoints."""
+    pieces = summary["pieces"]
+    assert [piece["closed"] for piece in pieces] == [True, True]
+    assert pieces[0]["points"] == pytest.approx(2 * pieces[1]["points"], rel=0.02)
+    lengths = [piece["length"] for piece in pieces]
+    assert lengths == pytest.approx([4 * np.pi, 2 * np.pi], rel=0.01)
+    assert summary["spacing"] == pytest.approx(6 * np.pi / 100, rel=0.02)
+    assert summary["noise"] < 0.01
+    assert summary["gap"] > 0.0
+    # So few waypoints are resampled.
+    assert (summary["dropped"], summary["resampled"], summary["ends"]) == (0, True, [])
+    assert summary["open"] is summary["direction"] is summary["start"] is None
+
+
 def test_train(trained):
     assert names_in(trained) == TRAIN_FILES
     summary = summary_of(trained)
@@ -114,6 +145,7 @@ def test_train(trained):
     assert summary["unit_length"] == pytest.approx(0.5, rel=1e-2)
     assert summary["self_check_passed"] is True
     assert summary["restarts"] == 0
+    check_pieces(summary)
     assert summary["train_cpu_s"] > 0.0
     assert summary["train_wall_s"] > 0.0
     field = load_field(trained / "field.safetensors")
@@ -144,6 +176,143 @@ def test_train_from_a_file_with_other_columns(tmp_path, trained):
     assert run(*fly) == 0
     assert summary_of(tmp_path / "fly")["reference"] == "cloud"
     assert summary_of(tmp_path / "fly")["laps"] >= 1.0
+
+
+@pytest.fixture(scope="module")
+def quick(inputs, tmp_path_factory):
+    """Trains on a file of inputs, briefly: (file, options) -> (summary, field)."""
+
+    def make(file, *options):
+        out = tmp_path_factory.mktemp("quick") / "out"
+        few = ("--tangent-iterations", 60, "--max-restarts", 0, "--recipe", "exact")
+        assert run("train", "--points", inputs / file, *few, *options, "--out", out) == 0
+        return summary_of(out), load_field(out / "field.safetensors")
+
+    return make
+
+
+def test_an_open_path_ends_at_the_larger_x(quick, capsys):
+    summary, field = quick("arc.csv", "--open")
+    assert [piece["closed"] for piece in summary["pieces"]] == [False]
+    assert summary["pieces"][0]["length"] == pytest.approx(2 * np.pi, rel=0.02)
+    assert summary["open"] is True
+    np.testing.assert_allclose(field.ends, [[2.0, 0.0]], atol=0.05)
+    np.testing.assert_allclose(summary["ends"], field.ends)
+    shown = capsys.readouterr().out
+    assert "1 open" in shown
+    assert "closed" not in shown
+    # Waypoints of an open path are always resampled, and none of these was a stray.
+    assert summary["resampled"] is True
+    assert "resampled" in shown
+    assert "left out" not in shown
+
+
+@pytest.mark.parametrize(
+    ("options", "end"),
+    [
+        (("--direction", "reverse"), -2.0),
+        (("--direction", "-"), 2.0),
+        (("--start", "2.5, -1"), -2.0),
+        (("--start", "-2,0"), 2.0),
+    ],
+)
+def test_the_direction_of_an_open_path(quick, options, end):
+    summary, field = quick("arc.csv", "--open", *options)
+    np.testing.assert_allclose(field.ends, [[end, 0.0]], atol=0.05)
+    name, text = options
+    asked = {"direction": None, "start": None}
+    if text != "-":
+        point = [float(number) for number in text.split(",")] if name == "--start" else text
+        asked[name.removeprefix("--")] = point
+    assert {key: summary[key] for key in asked} == asked
+
+
+@pytest.mark.parametrize(
+    ("file", "dropped", "resampled"), [("ring.csv", 0, False), ("strayed.csv", 2, True)]
+)
+def test_what_was_done_to_the_waypoints_is_told(quick, capsys, file, dropped, resampled):
+    summary, field = quick(file)
+    (piece,) = summary["pieces"]
+    assert piece["closed"] is True
+    assert piece["points"] == len(field.support)
+    assert (piece["points"] == 200) == (not resampled)
+    assert (summary["dropped"], summary["resampled"]) == (dropped, resampled)
+    shown = capsys.readouterr().out
+    assert "1 closed" in shown
+    assert ("strays left out │ 2" in shown) == (dropped == 2)
+    assert ("resampled" in shown) == resampled
+
+
+def test_the_paper_learns_from_the_waypoints_as_they_are(inputs, tmp_path):
+    few = ("--score-iterations", 5, "--tangent-iterations", 5, "--recipe", "paper")
+    points = ("--points", inputs / "strayed.csv")
+    assert run("train", *points, *few, "--out", tmp_path / "out") == 0
+    summary = summary_of(tmp_path / "out")
+    assert (summary["dropped"], summary["resampled"]) == (0, False)
+    assert summary["settings"]["score_iterations"] == 5
+
+
+def test_the_flight_of_an_open_path(quick, inputs, tmp_path, capsys):
+    _, field = quick("arc.csv", "--open", "--tangent-iterations", 600)
+    field.save(tmp_path / "arc.safetensors")
+    capsys.readouterr()
+    # As wide as it has to be for the field to be flown as it is.
+    fly = ("fly", tmp_path / "arc.safetensors", "--scale", 10, "--speed", 0.9)
+    assert run(*fly, "--out", tmp_path / "fly") == 0
+    summary = summary_of(tmp_path / "fly")
+    assert summary["ended"] is True
+    assert summary["laps"] is None
+    assert [piece["laps"] for piece in summary["pieces"]] == [None]
+    shown = capsys.readouterr().out
+    assert " end " in shown
+    assert " yes " in shown
+    assert "laps" not in shown
+    # It fits in 80 columns.
+    assert max(map(len, shown.splitlines()[:-1])) <= 80
+
+
+def test_recorded_velocities_set_the_direction(quick):
+    _, field = quick("moving.csv", "--open")
+    np.testing.assert_allclose(field.ends, [[-2.0, 0.0]], atol=0.05)
+    # A choice comes before them: the file was recorded from the right.
+    _, field = quick("moving.csv", "--open", "--start", "-2,0")
+    np.testing.assert_allclose(field.ends, [[2.0, 0.0]], atol=0.05)
+
+
+def test_the_same_arc_can_be_closed(quick):
+    summary, field = quick("arc.csv", "--closed")
+    assert [piece["closed"] for piece in summary["pieces"]] == [True]
+    assert summary["open"] is False
+    assert len(field.ends) == 0
+
+
+def turning(field, radius):
+    """The share of a circle that the field runs along counter-clockwise."""
+    angle = np.linspace(0, 2 * np.pi, 200)
+    x = radius * np.column_stack([np.cos(angle), np.sin(angle)])
+    return float((field(x) @ np.array([[0, 1], [-1, 0]]) * x).sum(axis=1).__lt__(0).mean())
+
+
+@pytest.mark.parametrize(
+    ("direction", "outer", "inner"),
+    [("ccw", 1, 1), ("cw", 0, 0), ("-,cw", 1, 0), ("cw,", 0, 1), ("reverse, ccw", 0, 1)],
+)
+def test_each_piece_has_its_direction(quick, direction, outer, inner):
+    more = ("--tangent-iterations", 300, "--direction", direction)
+    _, field = quick("good.csv", *more)
+    assert turning(field, 2.0) == pytest.approx(outer, abs=0.1)
+    assert turning(field, 1.0) == pytest.approx(inner, abs=0.1)
+
+
+def test_settings_of_the_training_can_be_chosen(quick):
+    summary, field = quick("good.csv", "--sigma", 0.25)
+    assert field.sigma == summary["sigma"] == 0.25
+    assert summary["settings"]["tangent_iterations"] == 60
+    assert summary["settings"]["max_restarts"] == 0
+
+
+def test_the_names_of_directions_are_those_of_the_training():
+    assert set(DirectionName) == set(DIRECTIONS)
 
 
 def test_follow(trained, tmp_path, capsys):
@@ -270,6 +439,42 @@ BAD_TRAINING = {
     "negative seed": (["--shape", "circle", "--seed", "-1"], ["seed", "-1"]),
     "negative noise": (["--shape", "circle", "--noise", "-0.1"], ["noise", "-0.1"]),
     "NaN noise": (["--shape", "circle", "--noise", "nan"], ["noise", "nan"]),
+    "unknown direction": (
+        [*ARC, "--direction", "left"],
+        ["--direction", "'left'", "ccw, cw, reverse"],
+    ),
+    "one direction too many": (
+        ["--points", "{inputs}/good.csv", "--direction", "cw,-,cw"],
+        ["direction has 3 entries", "2 pieces"],
+    ),
+    "an open path that turns": (
+        [*ARC, "--open", "--direction", "cw"],
+        ["direction 'cw'", "closed pieces in the plane"],
+    ),
+    "start is no point": ([*ARC, "--start", "1;2"], ["--start", "'1;2'"]),
+    "start of one number": ([*ARC, "--start", "1"], ["--start", "'1'"]),
+    "NaN start": ([*ARC, "--start", "nan,0"], ["--start", "'nan,0'"]),
+    "start in another dimension": (
+        [*ARC, "--start", "1,2,3"],
+        ["start has 3 coordinates", "have 2"],
+    ),
+    "direction of the paper": (
+        [*ARC, "--recipe", "paper", "--direction", "ccw"],
+        ["--direction", "paper"],
+    ),
+    "closed for the paper": ([*ARC, "--recipe", "paper", "--closed"], ["--closed", "paper"]),
+    "no score network": (
+        [*ARC, "--recipe", "exact", "--score-iterations", "9"],
+        ["--score-iterations", "exact"],
+    ),
+    "negative sigma": ([*ARC, "--sigma", "-1"], ["sigma", "-1.0"]),
+    "NaN sigma": ([*ARC, "--sigma", "nan"], ["sigma", "nan"]),
+    "no iterations": (
+        [*ARC, "--tangent-iterations", "0"],
+        ["tangent_iterations cannot be 0"],
+    ),
+    "negative restarts": ([*ARC, "--max-restarts", "-1"], ["max_restarts cannot be -1"]),
+    "bad velocity": (["--points", "{inputs}/bad_velocity.csv"], ["line 3", "'fast'"]),
     "too few points": (["--shape", "circle", "--num-points", "2"], ["num_points", "2"]),
 }
 BAD_FOLLOWING = {
@@ -417,6 +622,14 @@ def test_version_and_help_import_little(option, shown, tmp_path):
     assert status == 0
     assert shown in out
     assert not modules & {"torch", "pydrake", "matplotlib", "systems"}
+
+
+def test_the_help_shows_the_defaults(capsys):
+    # Brackets are markup to Rich, which would swallow them.
+    for command, default in (("train", "[default: 200]"), ("follow", "laps + 15 U]")):
+        assert run(command, "--help") == 0
+        words = capsys.readouterr().out.replace("│", " ").split()
+        assert default in " ".join(words)
 
 
 def test_follow_does_without_torch(trained, tmp_path):

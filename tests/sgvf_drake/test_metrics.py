@@ -43,6 +43,7 @@ def test_a_perfect_lap():
     assert metrics.summary() == {
         "reach_fraction": 1.0,
         "lap_fraction": 1.0,
+        "end_fraction": None,
         "stall_fraction": 0.0,
         "leave_fraction": 0.0,
         "cross_track_rms": pytest.approx(0, abs=SAGITTA),
@@ -198,17 +199,264 @@ def test_an_excursion_begins_the_tail_anew():
     np.testing.assert_allclose(metrics.laps, 0.9, atol=0.01)
 
 
-def test_an_open_polyline_is_lapped_from_end_to_end():
-    line = ReferencePath((Piece(np.array([[-3.0, 0.0], [3.0, 0.0]]), closed=False),))
+def test_passing_an_open_polyline_is_neither_a_lap_nor_an_end():
     times = times_for(6.0)
-    x = np.linspace(-3, 3, len(times))
-    whole = np.column_stack([x, np.full_like(x, 0.03)])
-    late = np.column_stack([np.maximum(x, -2.8), np.full_like(x, 0.03)])
-    metrics = measure(times, np.stack([whole, late], axis=1), line)
-    assert metrics.lapped.tolist() == [True, False]
+    whole = np.linspace(-3, 3, len(times))
+    metrics = measure(times, on_line(whole, np.maximum(whole, -2.8), y=0.03), LINE)
     assert metrics.settled.tolist() == [True, True]
+    assert not metrics.lapped.any()
+    assert not metrics.ended.any()
     np.testing.assert_allclose(metrics.rms, 0.03)
     np.testing.assert_allclose(metrics.laps, [1, 5.8 / 6], rtol=1e-6)
+
+
+# Open paths: to the end, and to rest there.
+
+LINE = ReferencePath((Piece(np.array([[-3.0, 0.0], [3.0, 0.0]]), closed=False),))
+LINE_TREE = tree_reference(PointCloud(np.column_stack([np.linspace(-3, 3, 61), np.zeros(61)])))
+# Time for a stall of 8 U = 6 s after the line of 6 s.
+OPEN_TIMES = times_for(20.0)
+
+
+def on_line(*x, y=0.0):
+    """Agents with these coordinates over time on a line along the x axis; (T, n, 2)."""
+    return np.stack([np.column_stack([one, np.full_like(one, y)]) for one in x], axis=1)
+
+
+def travel(start, stop, times=OPEN_TIMES):
+    """From `start` at unit speed until `stop`, and still from then on."""
+    return start + np.sign(stop - start) * np.minimum(times, abs(stop - start))
+
+
+@pytest.fixture(params=[LINE, LINE_TREE], ids=["path", "tree"])
+def line(request):
+    return request.param
+
+
+def test_coming_to_rest_at_the_end(line):
+    # From the start, from the middle, and within a tenth of a unit of the end.
+    x = [travel(-3, 3), travel(0.5, 3), travel(-3, 3 - 0.09 * U), travel(-3, 3 + 0.09 * U)]
+    metrics = measure(OPEN_TIMES, on_line(*x), line)
+    assert metrics.ended.all()
+    assert metrics.settled.all()
+    assert not metrics.lapped.any()
+    assert not metrics.stalled.any()
+    assert metrics.open.all()
+    summary = metrics.summary()
+    assert summary["reach_fraction"] == summary["end_fraction"] == 1.0
+    assert summary["lap_fraction"] is None
+    assert summary["stall_fraction"] == 0.0
+
+
+def test_stopping_early_is_a_stall(line):
+    x = [travel(-3, 3 - 0.2 * U), travel(-3, 3 - 0.11 * U), travel(-3, 3 + 0.11 * U)]
+    metrics = measure(OPEN_TIMES, on_line(*x), line)
+    assert metrics.stalled.all()
+    assert not metrics.ended.any()
+    assert not metrics.lapped.any()
+    assert metrics.summary()["end_fraction"] == 0.0
+    assert metrics.summary()["lap_fraction"] is None
+
+
+def test_running_past_the_end_is_no_end(line):
+    metrics = measure(OPEN_TIMES, on_line(-3 + OPEN_TIMES), line)
+    assert metrics.reached.all()
+    assert metrics.left.all()
+    assert not metrics.ended.any()
+    assert not metrics.settled.any()
+    # Nor is it, to be at the end on the way past it in the last sample.
+    passing = OPEN_TIMES <= 6.0
+    metrics = measure(OPEN_TIMES[passing], on_line(-3 + OPEN_TIMES)[passing], line)
+    assert not metrics.ended.any()
+
+
+def test_coming_back_to_the_end_is_no_end(line):
+    beyond = np.interp(OPEN_TIMES, [0, 6, 6.3, 6.6], [-3, 3, 3 + 0.35 * U, 3])
+    within = np.interp(OPEN_TIMES, [0, 6, 6.3, 6.6], [-3, 3, 3 + 0.25 * U, 3])
+    metrics = measure(OPEN_TIMES, on_line(beyond, within), line)
+    assert metrics.ended.tolist() == [False, True]
+
+
+@pytest.mark.parametrize(("rest", "ended"), [(1.9, False), (2.1, True)])
+def test_rest_lasts_two_units_of_time(line, rest, ended):
+    # Rest counts from the stop, not from coming within a tenth of a unit of the end.
+    times = times_for(6 + rest * U, step=0.01)
+    metrics = measure(times, on_line(travel(-3, 3, times)), line)
+    assert metrics.ended.tolist() == [ended]
+    # Entered half-way, the run is shorter than the time of the whole line.
+    half = times_for(3 + rest * U, step=0.01)
+    metrics = measure(half, on_line(travel(0, 3, half)), line)
+    assert metrics.ended.tolist() == metrics.settled.tolist() == [ended]
+    # At twice the speed the same rest takes half of the time.
+    metrics = measure(times / 2, on_line(travel(-3, 3, times)), line, speed=2.0)
+    assert metrics.ended.tolist() == [ended]
+
+
+@pytest.mark.parametrize(("span", "ended"), [(0.048, True), (0.052, False)])
+def test_rest_spans_less_than_a_twentieth_of_a_unit(line, span, ended):
+    # The span is a diagonal: each coordinate spans its part of it.
+    sway = 0.5 * span * U * np.sin(7 * OPEN_TIMES)[:, None] * np.array([0.6, 0.8])
+    positions = on_line(travel(-3, 3)) + sway[:, None, :]
+    assert measure(OPEN_TIMES, positions, line).ended.tolist() == [ended]
+
+
+def test_an_end_that_is_approached_exponentially(line):
+    tau = np.array([0.5, 1.0, 20.0])  # seconds; 1 U of time is 0.75
+    x = [3 - 6 * np.exp(-OPEN_TIMES / one) for one in tau]
+    metrics = measure(OPEN_TIMES, on_line(*x, y=0.02), line)
+    assert metrics.ended.tolist() == [True, True, False]
+    # Arrived where 6 exp(-t / tau) and the offset are 0.1 U from the end; all samples to it.
+    arrival = tau[:2] * np.log(6 / np.sqrt((0.1 * U) ** 2 - 0.02**2))
+    np.testing.assert_allclose(metrics.samples[:2], arrival / 0.05 + 1, atol=1)
+    np.testing.assert_allclose(metrics.rms[:2], 0.02)
+
+
+def test_resting_does_not_dilute_the_error(line):
+    # Comes in from 1 U off, sways about the line over its whole length, and rests on it.
+    x = travel(-3, 3)
+    way_in = np.maximum(U - 2 * OPEN_TIMES, 0)
+    y = np.where(OPEN_TIMES < 6, way_in + 0.05 * np.sin(2 * np.pi * OPEN_TIMES), 0.0)
+    metrics = measure(OPEN_TIMES, np.column_stack([x, y])[:, None, :], line)
+    assert metrics.ended.all()
+    reach = np.argmax(np.abs(y) <= 0.1 * U)
+    arrival = np.argmax(np.hypot(x - 3, y) <= 0.1 * U)
+    assert metrics.samples.tolist() == [arrival - reach + 1]
+    expected = np.sqrt(np.mean(y[reach : arrival + 1] ** 2))
+    assert expected > 0.03
+    np.testing.assert_allclose(metrics.rms, expected, rtol=1e-9)
+    np.testing.assert_allclose(metrics.maximum, np.abs(y[reach : arrival + 1]).max())
+    assert metrics.summary()["cross_track_rms"] == pytest.approx(expected)
+
+
+def test_starting_at_the_end_is_one_sample(line):
+    metrics = measure(OPEN_TIMES, on_line(travel(3, 3)), line)
+    assert metrics.ended.all()
+    assert metrics.samples.tolist() == [1]
+    assert metrics.rms.tolist() == [0.0]
+
+
+def test_the_wrong_end_is_none_unless_the_field_ends_there(line):
+    positions = on_line(travel(2, -3), travel(-2, 3))
+    for ends, ended in (
+        (None, [False, True]),
+        (np.empty((0, 2)), [False, True]),
+        ([], [False, True]),
+        ([[3.0, 0.0]], [False, True]),
+        ([[-3.0, 0.0]], [True, False]),
+        # The nearer one, however far; and the nearest of several.
+        ([[-9.0, 4.0]], [True, False]),
+        ([[-2.0, 0.0], [3.5, 0.0]], [False, True]),
+        ([[2.0, 0.0], [-3.5, 0.0]], [True, False]),
+    ):
+        metrics = measure(OPEN_TIMES, positions, line, ends=ends)
+        assert metrics.ended.tolist() == ended, ends
+        assert metrics.stalled.tolist() == [not one for one in ended]
+
+
+def test_an_arc_ends_in_its_direction_of_travel():
+    # A C that opens to the right; its ends are 0.5 U apart, the terminal one below.
+    gap = 0.25 * U / 3
+    angles = np.linspace(gap, 2 * np.pi - gap, 800)
+    arc = 3 * np.column_stack([np.cos(angles), np.sin(angles)])
+    path = ReferencePath((Piece(arc, closed=False),))
+    times = times_for(30.0)
+    angle = np.stack([np.minimum(gap + times / 3, angles[-1]), np.full_like(times, gap)], 1)
+    positions = 3.04 * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    metrics = measure(times, positions, path)
+    # The start is not far from the end, but is not the end.
+    assert metrics.ended.tolist() == [True, False]
+    assert metrics.rms[0] == pytest.approx(0.04, abs=1e-4)
+    np.testing.assert_allclose(metrics.laps, [1, 0], atol=1e-4)
+    # Beginning within a tenth of a unit of the end and going all the way is not one sample.
+    close = ReferencePath((Piece(np.vstack([arc, arc[0] - [0, 0.06]]), closed=False),))
+    spot = close.pieces[0].vertices[-1]
+    whole = np.concatenate([close.pieces[0].sample(600), np.tile(spot, (200, 1))])[:, None, :]
+    metrics = measure(np.linspace(0, 25, 800), whole, close)
+    assert metrics.ended.all()
+    assert 550 < metrics.samples[0] <= 600
+
+
+def hairpin(width):
+    """A hairpin path of two strands of 6 and a gap, and its turn at x = 3."""
+    vertices = np.array([[-3.0, 0.0], [3.0, 0.0], [3.0, width], [-3.0, width]])
+    return ReferencePath((Piece(vertices, closed=False),))
+
+
+@pytest.mark.parametrize("width", [0.5 * U, 1.5 * U])
+def test_a_shortcut_across_a_hairpin_is_no_end(width):
+    path = hairpin(width)
+    times = times_for(24.0)
+    s = np.minimum(times, path.longest)
+    whole = path.pieces[0].at(s)
+    # Half-way along the first strand, straight over to the second one.
+    cut = Piece(np.array([[-3.0, 0], [0, 0], [0, width], [-3, width]]), closed=False)
+    short = cut.at(np.minimum(times, cut.length))
+    # Entered on the second strand it has not skipped anything.
+    late = Piece(np.array([[0.0, 1.2 + width], [0, width], [-3, width]]), closed=False)
+    entered = late.at(np.minimum(times, late.length))
+    metrics = measure(times, np.stack([whole, short, entered], axis=1), path)
+    assert metrics.ended.tolist() == [True, False, True]
+    assert metrics.stalled.tolist() == [False, True, False]
+    np.testing.assert_array_equal(metrics.summary()["end_fraction"], 2 / 3)
+
+
+def test_leaving_the_path_on_the_way_skips_it(line):
+    aside = np.interp(OPEN_TIMES, [2, 2.5, 3, 3.5], [0, 0.4 * U, 0.4 * U, 0])
+    for height, ended in ((1.0, False), (0.7, True)):
+        positions = np.column_stack([travel(-3, 3), height * aside])[:, None, :]
+        assert measure(OPEN_TIMES, positions, line).ended.tolist() == [ended]
+
+
+MIXED = ReferencePath((Piece(LINE.pieces[0].vertices - [0, 3.5], False), CIRCLE.pieces[0]))
+
+
+def test_open_and_closed_pieces_count_apart():
+    times = times_for(22.0)
+    x = travel(-3, 3, times)
+    agents = [
+        on_line(x, travel(-3, 2, times), travel(-3, 2, times), y=-3.5),
+        around(times),
+        np.tile([[3.0, 0.0]], (len(times), 1, 1)),
+    ]
+    metrics = measure(times, np.concatenate(agents, axis=1), MIXED)
+    assert metrics.open.tolist() == [True, True, True, False, False]
+    assert metrics.ended.tolist() == [True, False, False, False, False]
+    assert metrics.lapped.tolist() == [False, False, False, True, False]
+    summary = metrics.summary()
+    assert summary["end_fraction"] == pytest.approx(1 / 3)
+    assert summary["lap_fraction"] == 0.5
+    assert summary["stall_fraction"] == pytest.approx(3 / 5)
+    only_open = measure(times, agents[0], MIXED).summary()
+    assert only_open["lap_fraction"] is None
+    assert only_open["end_fraction"] == pytest.approx(1 / 3)
+    only_closed = measure(times, agents[1], MIXED).summary()
+    assert only_closed["lap_fraction"] == 1.0
+    assert only_closed["end_fraction"] is None
+
+
+def test_ends_mean_nothing_to_closed_pieces():
+    times = times_for(1.5 * LAP)
+    rest = np.tile([[3.0, 0.0]], (len(times), 1, 1))
+    positions = np.concatenate([around(times), rest], axis=1)
+    without, given = (measure(times, positions, ends=ends) for ends in (None, [[3.0, 0.0]]))
+    assert without.summary() == given.summary()
+    assert given.summary()["lap_fraction"] == 0.5
+    assert given.summary()["end_fraction"] is None
+    assert given.stalled.tolist() == [False, True]
+    assert not given.ended.any()
+    assert not given.open.any()
+
+
+@pytest.mark.parametrize(
+    ("others", "lap", "end"), [(CLOUD.points, 0.0, None), (LINE_TREE.points, None, 0.0)]
+)
+def test_rest_on_an_isolated_waypoint_is_a_failure(others, lap, end):
+    reference = tree_reference(PointCloud(np.concatenate([others, [[0.0, 1.9]]])))
+    times = times_for(22.0)
+    positions = np.tile([[0.0, 1.9]], (len(times), 1, 1))
+    summary = measure(times, positions, reference, ends=[[0.0, 1.9]]).summary()
+    assert (summary["lap_fraction"], summary["end_fraction"]) == (lap, end)
+    assert summary["stall_fraction"] == 1.0
 
 
 def test_pooled_error_weighs_each_sample():
@@ -348,6 +596,8 @@ def test_starts_are_distinct_and_inside_the_box(n, dim):
         ({"positions": np.zeros((5, 1, 3))}, r"not \(5, 1, 3\)"),
         ({"unit_length": 0.0}, "unit_length must be positive"),
         ({"speed": np.nan}, "speed must be positive"),
+        ({"ends": np.zeros((2, 3))}, r"ends must be \(E, 2\), not \(2, 3\)"),
+        ({"ends": np.zeros(2)}, r"ends must be \(E, 2\), not \(2,\)"),
     ],
 )
 def test_bad_input_is_refused(change, match):
@@ -367,6 +617,8 @@ def test_a_position_that_is_not_finite_is_named():
     positions[4, 1, 0] = np.nan
     with pytest.raises(NonFiniteValueError, match="agent 1 is not finite at time 2"):
         measure(np.linspace(0, 2, 5), positions)
+    with pytest.raises(NonFiniteValueError, match="end 1 of the field is not finite"):
+        measure(np.linspace(0, 2, 5), 0 * positions[:, :1], ends=[[0, 0], [0, np.inf]])
 
 
 @pytest.mark.parametrize(("n", "dim", "match"), [(0, 2, "at least 1"), (4, 3, "corners")])

@@ -7,9 +7,12 @@ import pytest
 
 from sgvf_drake.experiments import fly, follow
 from sgvf_drake.learning import TrainingConfig, train
-from sgvf_drake.paths import PointCloud, make_shape, shape_path
+from sgvf_drake.paths import Piece, PointCloud, ReferencePath, make_shape, shape_path
 
 SHAPE = "concentric-flight"
+# m, m/s
+ARC_RADIUS = 4.0
+ARC_SPEED = 0.2
 
 
 class ConstantField:
@@ -21,6 +24,7 @@ class ConstantField:
     def __init__(self, cloud, value):
         self.cloud = cloud
         self.value = np.array(value, dtype=np.float64)
+        self.ends = np.empty((0, cloud.dim))
 
     @property
     def dim(self):
@@ -66,6 +70,28 @@ def flight_result():
 def flight_field(flight_result):
     """Its field, in metres."""
     return flight_result.field
+
+
+@pytest.fixture(scope="session")
+def half_circle():
+    """An open true path of 4 m radius, from (-4, 0) over (0, 4) to (4, 0)."""
+    angle = np.linspace(np.pi, 0, 2_001)
+    vertices = ARC_RADIUS * np.column_stack([np.cos(angle), np.sin(angle)])
+    return ReferencePath((Piece(vertices, closed=False),))
+
+
+@pytest.fixture(scope="session")
+def open_field_of_arc(half_circle):
+    """A field along it with its end at (-4, 0): against the rule, and the reference."""
+    cloud = PointCloud(half_circle.pieces[0].sample(80))
+    config = TrainingConfig(recipe="exact", seed=0, open=True, direction="reverse")
+    return train(cloud, config).field
+
+
+@pytest.fixture(scope="session")
+def flown_to_the_end(open_field_of_arc, half_circle):
+    """A flight along it, at a speed for which the field need not be widened."""
+    return fly(open_field_of_arc, half_circle, speed=ARC_SPEED)
 
 
 @pytest.fixture(scope="session")

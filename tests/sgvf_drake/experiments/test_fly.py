@@ -1,5 +1,6 @@
 """Flights of Drake's quadrotor along the two circles of the paper's first flight."""
 
+from dataclasses import replace
 import math
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments import check_feasibility, choose_reference, fly
-from sgvf_drake.experiments.fly import flown_pieces, hover_start
+from sgvf_drake.experiments.fly import flight_duration, flown_pieces, hover_start
 from sgvf_drake.paths import Piece, PointCloud, ReferencePath
 from systems import FieldForSpeed, QuadrotorParameters
 
@@ -163,6 +164,84 @@ def test_other_errors_in_flight_are_not_hidden(monkeypatch, flight_field, rings)
         fly(flight_field, rings)
 
 
+# Open pieces.
+
+
+def test_an_open_piece_is_flown_to_its_end_and_rested_at(flown_to_the_end, open_field_of_arc):
+    (flight,) = flown_to_the_end.flights
+    log, summary = flight.log, flight.summary
+    unit = open_field_of_arc.cloud.unit_length
+    np.testing.assert_allclose(open_field_of_arc.ends, [[-4.0, 0.0]], atol=0.1 * unit)
+    last = log.iloc[-1]
+    assert math.hypot(last["x"] + 4.0, last["y"]) <= 0.1 * unit
+    assert np.linalg.norm(last[["vx", "vy", "vz"]]) <= 0.01
+    assert summary["open"] is True
+    assert summary["ended"] is True
+    assert summary["laps"] is None
+    # From before the other end, over the whole of the arc.
+    np.testing.assert_allclose(summary["start_m"], [4.06, -0.5, 1.0], atol=0.07)
+    angle = np.arctan2(log["y"], log["x"])
+    assert angle.max() - angle.min() >= np.pi - 0.1
+
+
+def test_the_figures_of_an_open_piece_are_from_reach_to_arrival(
+    flown_to_the_end, open_field_of_arc
+):
+    (flight,) = flown_to_the_end.flights
+    log, unit = flight.log, open_field_of_arc.cloud.unit_length
+    reach = int(np.argmax(log["cross_track_error"] <= 0.1 * unit))
+    away = np.hypot(log["x"] + 4.0, log["y"]) > 0.1 * unit
+    arrival = int(np.flatnonzero(away)[-1]) + 1
+    assert 0 < reach < arrival < len(log) - 100
+    way = log.iloc[reach : arrival + 1]
+    rms = float(np.sqrt((way["cross_track_error"] ** 2).mean()))
+    speed = float(np.linalg.norm(way[["vx", "vy", "vz"]], axis=1).mean())
+    altitude = float(np.sqrt(((way["z"] - 1.0) ** 2).mean()))
+    assert flight.summary["cross_track_rms_m"] == pytest.approx(rms, rel=1e-3)
+    assert flight.summary["speed_mean_m_s"] == pytest.approx(speed, rel=1e-3)
+    assert flight.summary["altitude_rms_m"] == pytest.approx(altitude, rel=1e-3)
+    # The rest at the end counts in none of them.
+    assert speed == pytest.approx(0.2, rel=0.02)
+    assert flight.summary["cross_track_rms_m"] <= 0.02 * unit
+
+
+def test_the_summary_tells_ends_from_laps(flown_to_the_end, flown):
+    arc, rings = flown_to_the_end.summary(), flown.slow.summary()
+    assert (arc["laps"], arc["ended"]) == (None, True)
+    assert rings["ended"] is None
+    assert [piece["ended"] for piece in rings["pieces"]] == [None, None]
+    assert not any(piece["open"] for piece in rings["pieces"])
+    both = replace(
+        flown.slow, flights=[*flown.slow.flights, *flown_to_the_end.flights]
+    ).summary()
+    assert (both["laps"], both["ended"]) == (rings["laps"], True)
+    (flight,) = flown_to_the_end.flights
+    failed = replace(flight, summary={**flight.summary, "ended": False})
+    missed = replace(flown.slow, flights=[flight, failed]).summary()
+    assert (missed["laps"], missed["ended"]) == (None, False)
+
+
+def test_a_field_without_the_end_does_not_end(open_field_of_arc, half_circle):
+    # The same arc the other way around: the field rests where this reference begins, and a
+    # reference that is twice as long is not at its end there.
+    longer = np.concatenate([[[-4.0, -8.0]], half_circle.pieces[0].vertices])
+    reference = ReferencePath((Piece(longer, closed=False),))
+    summary = fly(open_field_of_arc, reference, speed=0.2).summary()
+    assert summary["ended"] is False
+    assert summary["laps"] is None
+
+
+def test_an_open_piece_has_time_to_come_to_rest(rings, half_circle):
+    length = 4 * np.pi
+    # A take-off, ways in and at rest of 4 U and 2 U, and 3 s.
+    expected = 1.0 + (length + 6 * 0.5) / 0.2 + 3.0
+    for laps in (1.0, 5.0):
+        found = flight_duration(half_circle, 0, 0.5, 0.2, laps)
+        assert found == pytest.approx(expected, rel=1e-3)
+    found = flight_duration(rings, 0, 0.5, 0.2, 3.0)
+    assert found == pytest.approx(1.0 + (3 * 2 * np.pi + 4 * 0.5) / 0.2, rel=1e-3)
+
+
 # Feasibility.
 
 
@@ -255,6 +334,25 @@ def test_the_hover_is_half_a_unit_outside(rings):
 def test_the_hover_beside_a_spatial_path_ignores_the_altitude():
     line = ReferencePath((Piece(np.array([[0.0, 0.0, 5.0], [2.0, 0.0, 5.0]]), closed=False),))
     np.testing.assert_allclose(hover_start(line, 0, 1.0, altitude=9.0), [-0.5, 0.0, 5.0])
+
+
+@pytest.mark.parametrize(
+    ("ends", "expected"),
+    [
+        (None, [-0.5, 1.0]),
+        (np.empty((0, 2)), [-0.5, 1.0]),
+        ([[4.0, 1.0]], [-0.5, 1.0]),
+        ([[0.1, 1.0]], [4.0, 5.5]),
+        # The end of another piece is farther from both.
+        ([[9.0, 9.0], [0.1, 1.0]], [4.0, 5.5]),
+    ],
+)
+def test_the_hover_is_before_the_end_that_an_open_piece_starts_at(ends, expected):
+    corner = np.array([[0.0, 1.0], [3.0, 1.0], [4.0, 1.0], [4.0, 2.0], [4.0, 5.0]])
+    path = ReferencePath((Piece(corner, closed=False),))
+    ends = None if ends is None else np.asarray(ends)
+    start = hover_start(path, 0, unit_length=1.0, altitude=2.0, ends=ends)
+    np.testing.assert_allclose(start, [*expected, 2.0], atol=1e-12)
 
 
 class FieldOf:

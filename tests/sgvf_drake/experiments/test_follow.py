@@ -1,18 +1,50 @@
 """Following: Drake's batch against single runs, SciPy, other units and smaller steps."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError, PointCloudError
-from sgvf_drake.experiments import choose_reference, follow, scale_reference
-from sgvf_drake.paths import ReferencePath, TreeReference
+from sgvf_drake.experiments import choose_reference, figures, follow, scale_reference
+from sgvf_drake.paths import Piece, PointCloud, ReferencePath, TreeReference
 from systems import MakeKinematicDiagram, MakeSimulator, SetPositions
 
 SUMMARY_KEYS = {
     *("starts", "reach_fraction", "lap_fraction", "stall_fraction", "leave_fraction"),
     *("cross_track_rms", "cross_track_max", "speed_on_path_min", "speed_on_path_max"),
+    "end_fraction",
 }
+
+
+class LineField:
+    """Comes in to the x axis and comes to rest at one end of a line of points there."""
+
+    dim, sigma = 2, 0.1
+    recipe, seed = "none", 0
+
+    def __init__(self, terminal, declared=True):
+        """Goes to `terminal`, 3 or -3, and says so if `declared`."""
+        self.cloud = PointCloud(np.column_stack([np.linspace(-3, 3, 61), np.zeros(61)]))
+        self.terminal = np.array([terminal, 0.0])
+        self.ends = self.terminal[None, :] if declared else np.empty((0, 2))
+
+    def __call__(self, x):
+        along = np.tanh((self.terminal[0] - x[:, 0]) / 0.2) / np.cosh(3 * x[:, 1])
+        return np.column_stack([along, -np.tanh(3 * x[:, 1])])
+
+
+@pytest.fixture
+def constant_field(constant_field):
+    """Makes constant fields that come to rest nowhere in particular: (cloud, value)."""
+
+    def make(cloud, value):
+        field = constant_field(cloud, value)
+        field.ends = np.empty((0, cloud.dim))
+        return field
+
+    return make
 
 
 def end_positions(field, starts, duration, step):
@@ -122,7 +154,7 @@ def test_the_unit_of_length_does_not_matter(followed, flight_field, rings, facto
     expected, found = followed.summary(), other.summary()
     for key in SUMMARY_KEYS:
         scaled = expected[key] * factor if key.startswith("cross_track") else expected[key]
-        assert found[key] == pytest.approx(scaled, rel=1e-6), key
+        assert found[key] == (scaled and pytest.approx(scaled, rel=1e-6)), key
 
 
 def test_agents_of_a_constant_field_leave(constant_field, circle_of_points):
@@ -141,6 +173,55 @@ def test_agents_of_a_zero_field_stall(constant_field, circle_of_points):
     assert summary["stall_fraction"] == 1.0
     assert summary["leave_fraction"] == summary["lap_fraction"] == 0.0
     assert summary["speed_on_path_max"] == 0.0
+
+
+@pytest.mark.parametrize("terminal", [3.0, -3.0])
+def test_agents_come_to_rest_at_the_end_of_the_field(terminal):
+    field = LineField(terminal)
+    reference, kind = choose_reference(field)
+    assert kind == "cloud"
+    line = ReferencePath((Piece(np.array([[-3.0, 0.0], [3.0, 0.0]]), closed=False),))
+    for path in (reference, line):
+        result = follow(field, path, starts=25)
+        summary = result.summary()
+        assert result.metrics.ended.all()
+        assert summary["reach_fraction"] == summary["end_fraction"] == 1.0
+        assert summary["lap_fraction"] is None
+        assert summary["stall_fraction"] == summary["leave_fraction"] == 0.0
+        assert 0.0 < summary["cross_track_rms"] <= 0.1 * field.cloud.unit_length
+
+
+@pytest.mark.parametrize(("terminal", "ended"), [(3.0, 1.0), (-3.0, 0.0)])
+def test_a_field_without_ends_ends_where_the_reference_does(terminal, ended):
+    field = LineField(terminal, declared=False)
+    summary = follow(field, choose_reference(field)[0], starts=9).summary()
+    assert summary["end_fraction"] == ended
+    assert summary["stall_fraction"] == 1.0 - ended
+
+
+@pytest.mark.parametrize(
+    ("open_", "title"),
+    [
+        ([False] * 3, "2 of 3 starts complete a lap"),
+        ([True] * 3, "2 of 3 starts come to rest at the end"),
+        ([False, True, True], "2 of 3 starts complete a lap or come to rest at the end"),
+    ],
+)
+def test_the_figure_says_what_the_agents_are_to_do(monkeypatch, tmp_path, open_, title):
+    field = LineField(3.0)
+    result = follow(field, choose_reference(field)[0], starts=3, duration=1.0)
+    is_open, good = np.array(open_), np.array([True, True, False])
+    metrics = replace(
+        result.metrics, open=is_open, lapped=good & ~is_open, ended=good & is_open
+    )
+    seen = []
+    module = figures.follow_figure.__globals__["plotting"]
+    for name in ("plane_axes", "plot_trajectories"):
+        monkeypatch.setattr(module, name, lambda *args: seen.append(args[-1]))
+    figures.follow_figure(field, replace(result, metrics=metrics), tmp_path / "a.png")
+    followed, shown = seen
+    assert followed.tolist() == good.tolist()
+    assert shown == title
 
 
 def test_a_field_that_is_not_finite_stops_the_run(constant_field, circle_of_points):

@@ -81,6 +81,61 @@ def test_a_field_in_space_and_one_of_no_shape(make_field, tmp_path):
     assert isinstance(loaded.composition, PaperComposition)
 
 
+@pytest.mark.parametrize("recipe", ["robust", "exact"])
+@pytest.mark.parametrize(("support", "ends"), [(12, 2), (12, 0), (0, 1)])
+def test_support_and_ends_are_kept_to_the_bit(make_field, tmp_path, recipe, support, ends):
+    field = make_field(recipe, support=support, ends=ends)
+    field.save(tmp_path / "field")
+    loaded = load_field(tmp_path / "field")
+    assert (loaded.support is None) == (support == 0)
+    assert (loaded.end_points is None) == (ends == 0)
+    for name in ("support", "end_points"):
+        if getattr(field, name) is not None:
+            assert getattr(loaded, name).tobytes() == getattr(field, name).tobytes()
+    x = np.random.default_rng(0).uniform(1, 5, (50, 2))
+    np.testing.assert_array_equal(loaded(x), field(x))
+    np.testing.assert_array_equal(
+        loaded.value_and_jacobian(x)[1], field.value_and_jacobian(x)[1]
+    )
+    loaded.save(tmp_path / "again")
+    assert (tmp_path / "again").read_bytes() == (tmp_path / "field").read_bytes()
+
+
+@pytest.mark.parametrize(
+    "tensor",
+    [
+        np.zeros(2),
+        np.array(1.0),
+        np.zeros((4, 3)),
+        np.zeros((4, 1)),
+        np.zeros((1, 4, 2)),
+        np.zeros((0, 3)),
+        np.full((3, 2), np.nan),
+        np.zeros((3, 2), dtype=np.float32),
+    ],
+    ids=["flat", "scalar", "space", "line", "deep", "none-in-space", "nan", "float32"],
+)
+@pytest.mark.parametrize("key", ["support.points", "ends.points"])
+@pytest.mark.parametrize("recipe", ["robust", "exact"])
+def test_bad_support_and_bad_ends_are_refused(make_field, tmp_path, recipe, key, tensor):
+    path = tmp_path / "bad.safetensors"
+    make_field(recipe, support=12, ends=2).save(path)
+    path.write_bytes(rewrite(path.read_bytes(), tensors={key: tensor}))
+    with pytest.raises(FieldFileError, match=rf"bad\.safetensors: .*{key}"):
+        load_field(path)
+
+
+def test_no_ends_are_fine_but_a_support_of_no_points_is_not(make_field, tmp_path):
+    path = tmp_path / "bad.safetensors"
+    make_field("exact", support=12).save(path)
+    data, empty = path.read_bytes(), np.zeros((0, 2))
+    path.write_bytes(rewrite(data, tensors={"ends.points": empty}))
+    assert load_field(path).ends.shape == (0, 2)
+    path.write_bytes(rewrite(data, tensors={"support.points": empty}))
+    with pytest.raises(FieldFileError, match=r"support.points has shape \(0, 2\)"):
+        load_field(path)
+
+
 def test_equal_fields_are_equal_files(field, tmp_path):
     first, second = tmp_path / "first", tmp_path / "second"
     field.save(first)

@@ -6,9 +6,11 @@ import pytest
 
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.learning import RECIPES, TrainingConfig
-from sgvf_drake.learning.scales import CloudScales
 
-SCALES = CloudScales(spacing=0.2, noise=0.0, gap=0.4)
+# The noise level that the cloud asks for.
+SIGMA = 0.13
+# What is asked of the path, and not of the learning.
+OF_THE_PATH = {"open", "direction", "start"}
 
 
 @pytest.mark.parametrize(
@@ -55,6 +57,28 @@ def test_bad_values_are_named(name, value):
         TrainingConfig(**{name: value})
 
 
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *(("open", value) for value in (0, 1, "yes", np.True_)),
+        *(("direction", value) for value in ("CCW", "", 1, ["ccw", "left"], ("cw", 1))),
+        *(("start", value) for value in (1.0, "ab", (0.0, float("nan")), (None, 0.0))),
+    ],
+)
+def test_bad_choices_for_the_path_are_named(name, value):
+    with pytest.raises(ConfigurationError, match=rf"^{name} cannot be "):
+        TrainingConfig(**{name: value})
+
+
+def test_choices_for_the_path_are_kept_as_plain_values():
+    config = TrainingConfig(open=False, direction=["cw", None], start=np.array([1, 2.5]))
+    assert config.open is False
+    assert config.direction == ("cw", None)
+    assert config.start == (1.0, 2.5)
+    assert [type(value) for value in config.start] == [float, float]
+    assert TrainingConfig(direction="reverse").direction == "reverse"
+
+
 @pytest.mark.parametrize("recipe", ["Robust", "", None, 3, ["robust"]])
 def test_unknown_recipes_are_told_the_known_ones(recipe):
     with pytest.raises(
@@ -65,14 +89,15 @@ def test_unknown_recipes_are_told_the_known_ones(recipe):
 
 @pytest.mark.parametrize("recipe", RECIPES)
 def test_resolving_fills_everything(recipe):
-    settings = TrainingConfig(recipe=recipe).resolved(SCALES)
+    settings = TrainingConfig(recipe=recipe).resolved(SIGMA)
     assert all(value is not None for value in asdict(settings).values())
-    assert {f.name for f in fields(settings)} == {f.name for f in fields(TrainingConfig)}
+    names = {f.name for f in fields(TrainingConfig)}
+    assert {f.name for f in fields(settings)} == names - OF_THE_PATH
     assert (settings.recipe, settings.seed) == (recipe, 0)
 
 
 def test_the_papers_values():
-    settings = TrainingConfig(recipe="paper").resolved(SCALES)
+    settings = TrainingConfig(recipe="paper").resolved(SIGMA)
     assert settings.score_hidden == (64, 64, 64, 64)
     assert settings.tangent_hidden == (128,)
     assert settings.score_iterations == settings.tangent_iterations == 10_000
@@ -80,11 +105,11 @@ def test_the_papers_values():
 
 
 def test_the_robust_values_follow_the_cloud():
-    settings = TrainingConfig().resolved(SCALES)
-    assert settings.sigma_min == pytest.approx(0.65 * 0.2)
-    assert settings.gain == pytest.approx(2 * settings.sigma_min)
-    fine = TrainingConfig().resolved(CloudScales(spacing=0.01, noise=0.0, gap=0.2))
-    assert fine.sigma_min == pytest.approx(0.05)
+    settings = TrainingConfig().resolved(SIGMA)
+    assert settings.sigma_min == SIGMA
+    assert settings.gain == pytest.approx(2 * SIGMA)
+    fine = TrainingConfig().resolved(0.05)
+    assert fine.sigma_min == 0.05
     # Half the noise level: twice the detail to learn.
     assert fine.frequency_std == pytest.approx(2 * settings.frequency_std)
     assert fine.score_iterations == 2 * settings.score_iterations
@@ -103,8 +128,8 @@ def test_what_is_given_is_kept():
         "tangent_hidden": (7,),
         "tangent_iterations": 12,
     }
-    assert asdict(TrainingConfig(**given).resolved(SCALES)) == given
-    assert TrainingConfig(sigma_min=0.3).resolved(SCALES).gain == pytest.approx(0.6)
+    assert asdict(TrainingConfig(**given).resolved(SIGMA)) == given
+    assert TrainingConfig(sigma_min=0.3).resolved(SIGMA).gain == pytest.approx(0.6)
 
 
 def test_numbers_of_numpy_become_plain():
@@ -116,8 +141,23 @@ def test_numbers_of_numpy_become_plain():
         tangent_hidden=[np.int32(6)],
         score_iterations=np.uint8(7),
     )
-    settings = config.resolved(SCALES)
+    settings = config.resolved(SIGMA)
     assert json.loads(json.dumps(asdict(settings)))["score_hidden"] == [4, 5]
     assert settings.tangent_hidden == (6,)
     assert (type(settings.seed), type(settings.sigma_min)) == (int, float)
     assert settings.sigma_min == 0.25
+
+
+def test_a_restart_grows_what_is_learned_with():
+    settings = TrainingConfig(
+        score_hidden=(8, 9), tangent_hidden=(7,), score_iterations=11, tangent_iterations=12
+    ).resolved(SIGMA)
+    assert settings.grown(0) == settings
+    first, second = settings.grown(1), settings.grown(2)
+    # Half as much again each time, rounded.
+    assert np.abs(np.subtract(first.score_hidden, (12, 13.5))).max() <= 0.5
+    assert np.abs(np.subtract(first.tangent_hidden, 10.5)).max() <= 0.5
+    assert first.score_iterations == pytest.approx(16.5, abs=0.5)
+    assert second.score_hidden == (16, 18)
+    assert (second.tangent_hidden, second.tangent_iterations) == ((14,), 24)
+    assert (second.sigma_min, second.gain) == (settings.sigma_min, settings.gain)

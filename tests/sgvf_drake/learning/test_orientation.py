@@ -9,7 +9,8 @@ from sgvf_drake.paths import make_shape, trace_pieces
 def hint_of(points, width=None):
     pieces = trace_pieces(points)
     if width is None:
-        width = cloud_scales(points, pieces).sigma_min
+        scales = cloud_scales(points, pieces)
+        width = max(scales.fine_sigma, scales.coarse_sigma)
     return orientation_hint(points, pieces, width)
 
 

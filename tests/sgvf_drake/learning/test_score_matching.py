@@ -7,6 +7,7 @@ from sgvf_drake.learning.schedule import NoiseSchedule
 from sgvf_drake.learning.score_matching import (
     BOX_HALF_SIZE,
     COMPRESSION_RADIUS,
+    DATA_END_SHARE,
     compress,
     mixture_score,
     paper_score_loss,
@@ -155,13 +156,14 @@ def test_a_robust_batch_sees_the_data_end_the_box_and_the_surroundings(points):
     for _ in range(20):
         loss()
     assert all(batch.shape == (BATCH, 3) for batch in batches)
-    assert all((batch[:, 2] == 1).sum() == BATCH // 2 for batch in batches)
+    assert all((batch[:, 2] == 1).sum() == round(DATA_END_SHARE * BATCH) for batch in batches)
     seen = torch.cat(batches)
     assert seen[:, 2].min() >= 0
     at_end = seen[seen[:, 2] == 1][:, :2]
     near = torch.cdist(at_end, points).min(dim=1).values < 0.3
-    # At t = 1 70 % of the draws are within a few noise levels, unless drawn at another t:
-    # half of them are, so at least 35 %; and the box leaves at least 15 % far away.
+    # At t = 1 70 % of the draws are around waypoints, and about half of these near them,
+    # since they are spread by the noise of another t, so at least 35 %; and the box leaves at
+    # least 15 % far away.
     assert near.float().mean() > 0.35
     assert (~near).float().mean() > 0.15
     assert (at_end.abs() > 0.9 * BOX_HALF_SIZE).any(dim=1).float().mean() > 0.02

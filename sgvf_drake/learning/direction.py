@@ -1,0 +1,115 @@
+"""Which way along each piece: the user's choice, or the rule of the spanning tree."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Literal, get_args
+
+import numpy as np
+
+from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.fields import FloatArray
+from sgvf_drake.paths import TracedPiece
+
+Direction = Literal["ccw", "cw", "reverse"]
+DIRECTIONS: tuple[Direction, ...] = get_args(Direction)
+
+
+def reverse(piece: TracedPiece) -> TracedPiece:
+    """Returns the piece, travelled the other way."""
+    return replace(piece, arc=piece.arc.max() - piece.arc, order=piece.order[::-1])
+
+
+def with_ends(piece: TracedPiece, points: FloatArray, closed: bool) -> TracedPiece:
+    """Returns the piece as a closed or an open one, whatever its tree looks like.
+
+    A piece that is opened breaks where its tree did, at the widest gap of the loop.
+    """
+    if piece.closed == closed:
+        return piece
+    ends = points[piece.order[[0, -1]]]
+    gap = float(np.linalg.norm(ends[1] - ends[0]))
+    if closed:
+        closing = replace(piece, closed=True, length=piece.length + gap)
+        return (
+            closing
+            if len(piece.order) > 2 and _area(points, closing) >= 0
+            else reverse(closing)
+        )
+    opened = replace(piece, closed=False, length=piece.length - gap)
+    return reverse(opened) if tuple(ends[1]) < tuple(ends[0]) else opened
+
+
+def directed(
+    points: FloatArray,
+    pieces: Sequence[TracedPiece],
+    direction: Direction | Sequence[Direction | None] | None,
+    start: FloatArray | None = None,
+    velocities: FloatArray | None = None,
+) -> tuple[TracedPiece, ...]:
+    """Returns the pieces in the direction of travel that was asked for.
+
+    Without a choice, closed pieces run counter-clockwise and open ones start at the end
+    with the smaller x; see `TracedPiece`.  Velocities come before that rule, a start point
+    before velocities, and a direction before both.
+
+    Args:
+        points: (M, d).
+        pieces: Their pieces, in the direction of the rule.
+        direction: For all pieces, or one for each, the longest first.
+        start: (d,) open pieces start at the end nearer to it.
+        velocities: (M, d) of a robot that travelled the path; zero where unknown.
+
+    Raises:
+        ConfigurationError: A direction is unknown, does not fit the pieces in number, or
+            asks a piece to turn that is not planar and closed.
+    """
+    if direction is None or isinstance(direction, str):
+        choices: Sequence[Direction | None] = [direction] * len(pieces)
+    else:
+        choices = direction
+    if len(choices) != len(pieces):
+        raise ConfigurationError(
+            f"direction has {len(choices)} entries, but the path has {len(pieces)} pieces"
+        )
+    return tuple(
+        _directed(points, piece, choice, start, velocities)
+        for piece, choice in zip(pieces, choices, strict=True)
+    )
+
+
+def _directed(
+    points: FloatArray,
+    piece: TracedPiece,
+    choice: Direction | None,
+    start: FloatArray | None,
+    velocities: FloatArray | None,
+) -> TracedPiece:
+    if velocities is not None and _against(points, piece, velocities):
+        piece = reverse(piece)
+    if start is not None and not piece.closed:
+        first, last = points[piece.order[[0, -1]]]
+        if np.linalg.norm(last - start) < np.linalg.norm(first - start):
+            piece = reverse(piece)
+    if choice in ("ccw", "cw"):
+        if points.shape[1] != 2 or not piece.closed:
+            raise ConfigurationError(
+                f"direction {choice!r} is for closed pieces in the plane; "
+                "an open piece takes a start point, or 'reverse'"
+            )
+        return piece if (_area(points, piece) > 0) == (choice == "ccw") else reverse(piece)
+    if choice == "reverse":
+        return reverse(piece)
+    return piece
+
+
+def _area(points: FloatArray, piece: TracedPiece) -> float:
+    """Twice the signed area of the first two coordinates."""
+    x, y = points[piece.order, :2].T
+    return float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
+
+
+def _against(points: FloatArray, piece: TracedPiece, velocities: FloatArray) -> bool:
+    """Whether the velocities run against the piece, chord by chord and on the whole."""
+    chords = np.diff(points[piece.order], axis=0)
+    mean = (velocities[piece.order[1:]] + velocities[piece.order[:-1]]) / 2
+    return float((chords * mean).sum()) < 0

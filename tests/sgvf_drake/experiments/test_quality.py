@@ -1,0 +1,593 @@
+"""The quality harness of learning: its clouds, its measures, and that it loses nothing."""
+
+from concurrent.futures import Future
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import replace
+import io
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+from rich.console import Console
+from scipy.spatial import cKDTree
+
+from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.experiments import clouds, quality
+from sgvf_drake.experiments.quality import Case, run_suite, suite_cases
+from sgvf_drake.fields import GaussianMixture
+from sgvf_drake.paths import SHAPES, PointCloud, make_shape, shape_path
+
+SUITES = tuple(quality.Suite)
+ALL = [case for suite in SUITES for case in suite_cases(suite)]
+CLOUDS = sorted({(case.cloud, case.sampling) for case in ALL})
+# Trained on the closed-form score in about a second; good enough to be followed.
+TINY = Case(
+    "tiny",
+    "circle",
+    recipe="exact",
+    starts=9,
+    overrides=(("tangent_iterations", 300), ("max_restarts", 0)),
+)
+NOWHERE = Case("tiny", "nowhere")
+
+
+def gap(piece, apart):
+    """The smallest distance between points of a piece with this much arc in between."""
+    count = round(piece.length / 0.02)
+    points, step = piece.sample(count), piece.length / count
+    first, second = cKDTree(points).query_pairs(1.0, output_type="ndarray").T
+    along = np.abs(first - second) * step
+    far = np.minimum(along, piece.length - along) > apart
+    return np.linalg.norm(points[first[far]] - points[second[far]], axis=1).min()
+
+
+# The clouds.
+
+
+@pytest.mark.parametrize(("path", "sampling"), CLOUDS)
+def test_clouds_lie_on_their_path(path, sampling):
+    how = clouds.SAMPLINGS[sampling]
+    cloud, reference = clouds.make_cloud(path, sampling, seed=0)
+    distance = reference.project(cloud.points).distance
+    tolerance = 1e-5 * cloud.unit_length
+    on_path = distance <= 5.5 * how.noise + tolerance
+    assert (~on_path).sum() <= round(how.outliers * cloud.num_points)
+    if how.spread != "vertices":
+        assert cloud.num_points == how.copies * how.num_points
+    if how.noise:
+        rms = np.sqrt((distance**2).mean())
+        # Of 40 waypoints the RMS is uncertain by 11 %, and the path bends.
+        assert 0.6 * how.noise < rms < 1.4 * how.noise
+
+
+@pytest.mark.parametrize(("path", "sampling"), CLOUDS)
+def test_clouds_cover_their_path(path, sampling):
+    how = clouds.SAMPLINGS[sampling]
+    cloud, reference = clouds.make_cloud(path, sampling, seed=0)
+    assert reference.dim == cloud.dim
+    assert (reference.lengths > 0).all()
+    assert reference.closed.all() == (path not in clouds.HANDWRITING)
+    spacing = reference.lengths.sum() / how.num_points
+    # Steps are the mean, at random up to 8 times that, where uneven 1 / (1 - 9 / 11).
+    widest = {"uniform": 1.1, "random": 8.0, "uneven": 5.6, "vertices": 1.0}[how.spread]
+    path_points = np.concatenate([piece.sample(500) for piece in reference.pieces])
+    nearest = cKDTree(cloud.points).query(path_points)[0]
+    # Where an outlier was, the hole is a step wider on either side, or more.
+    widest += 4 * (how.outliers > 0)
+    assert nearest.max() <= widest / 2 * spacing + 5.5 * how.noise
+
+
+@pytest.mark.parametrize("sampling", ["uniform", "random-noisy", "uneven", "outliers"])
+def test_the_seed_decides_a_cloud(sampling):
+    first, again, other = (
+        clouds.make_cloud("square", sampling, seed)[0].points for seed in (3, 3, 4)
+    )
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
+@pytest.mark.parametrize("path", ["hairpin", "Angle"])
+def test_the_order_of_the_waypoints_says_nothing(path):
+    sampling = "recorded" if path in clouds.HANDWRITING else "uniform"
+    cloud, reference = clouds.make_cloud(path, sampling, seed=0)
+    arc = reference.project(cloud.points).arc
+    assert abs(np.corrcoef(arc[:-1], arc[1:])[0, 1]) < 0.3
+
+
+def test_clouds_of_named_shapes_are_those_of_the_command_line():
+    cloud, _ = clouds.make_cloud("star", "random-noisy", seed=5)
+    expected, _ = make_shape("star", noise=0.05, seed=5, sampling="random")
+    assert cloud.digest == expected.digest
+    assert cloud.shape == "star"
+
+
+def test_the_uneven_density_varies_by_ten():
+    cloud, reference = clouds.make_cloud("circle", "uneven", seed=0)
+    steps = np.diff(np.sort(reference.project(cloud.points).arc))
+    assert steps.max() / steps.min() == pytest.approx(10, rel=0.02)
+
+
+def test_duplicates_are_three_of_each():
+    cloud, _ = clouds.make_cloud("square", "duplicates", seed=0)
+    _, counts = np.unique(cloud.points, axis=0, return_counts=True)
+    assert counts.tolist() == [3] * 200
+
+
+def test_outliers_are_anywhere_in_the_box():
+    cloud, reference = clouds.make_cloud("square", "outliers", seed=0)
+    off = cloud.points[reference.project(cloud.points).distance > 1e-6]
+    assert len(off) == 10
+    assert np.abs(off).max() <= 3.0
+    assert np.ptp(off, axis=0).min() > 2.0
+
+
+@pytest.mark.parametrize(("path", "factor"), [("millimetres", 1e3), ("kilometres", 1e-3)])
+def test_units_are_of_the_same_rings(path, factor):
+    reference = clouds.true_path(path)
+    rings = shape_path("concentric-flight")
+    np.testing.assert_allclose(reference.lengths, factor * rings.lengths, rtol=1e-12)
+
+
+def test_the_hairpin_is_long_and_thin():
+    (piece,) = clouds.true_path("hairpin").pieces
+    assert piece.length == pytest.approx(2 * 8.0 + np.pi * 0.3, rel=1e-5)
+    assert gap(piece, apart=1.0) == pytest.approx(0.3, rel=1e-3)
+    np.testing.assert_allclose(np.ptp(piece.vertices, axis=0), [8.3, 0.3], rtol=1e-5)
+
+
+@pytest.mark.parametrize("path", clouds.CIRCUITS)
+def test_circuits_fold_without_crossing(path):
+    (piece,) = clouds.true_path(path).pieces
+    assert gap(piece, apart=1.5) == pytest.approx(clouds.CIRCUIT_GAP, rel=0.02)
+    # Smooth: between neighbouring vertices the heading turns by no more than a few degrees.
+    edges = np.diff(piece.vertices, axis=0, append=piece.vertices[:1])
+    heading = np.arctan2(edges[:, 1], edges[:, 0])
+    turn = np.diff(np.unwrap(np.append(heading, heading[0])))
+    assert np.abs(turn).max() < np.radians(6)
+    # Once around, to the left.
+    assert turn.sum() == pytest.approx(2 * np.pi)
+
+
+def test_circuits_differ():
+    lengths = [clouds.true_path(path).longest for path in clouds.CIRCUITS]
+    assert len(np.unique(np.round(lengths, 3))) == len(clouds.CIRCUITS)
+
+
+def write_track(file, radius=3.0):
+    """A file as those of race tracks: centre line and widths, the start not repeated."""
+    angle = np.linspace(0, 2 * np.pi, 60, endpoint=False)
+    rows = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), *[angle] * 2])
+    np.savetxt(file, rows, delimiter=",", header="x_m,y_m,w_right_m,w_left_m")
+    return rows[:, :2]
+
+
+def test_files_are_measured_against_themselves_in_order(tmp_path):
+    points = write_track(tmp_path / "track.csv")
+    cloud, reference = clouds.make_cloud("track", "recorded", 0, str(tmp_path / "track.csv"))
+    assert not np.array_equal(cloud.points, points)
+    np.testing.assert_array_equal(
+        cloud.points[np.lexsort(cloud.points.T)], points[np.lexsort(points.T)]
+    )
+    assert reference.closed.tolist() == [True]
+    np.testing.assert_array_equal(reference.pieces[0].vertices, points)
+
+
+@pytest.mark.parametrize(("path", "sampling"), [("nowhere", "uniform"), ("circle", "never")])
+def test_unknown_clouds_are_refused(path, sampling):
+    with pytest.raises(ConfigurationError, match=r"there is no .*(nowhere|never)"):
+        clouds.make_cloud(path, sampling, 0)
+
+
+# The suites.
+
+
+def test_the_closed_suite_is_all_shapes():
+    cases = suite_cases("closed")
+    assert {case.cloud for case in cases} == set(SHAPES)
+    assert len(cases) == 5 * len(SHAPES)
+    assert {(case.recipe, case.starts) for case in cases} == {("robust", 400)}
+
+
+def test_the_full_suite_holds_the_others():
+    parts = ("closed", "robustness", "handwriting")
+    assert set(suite_cases("full")) == {case for part in parts for case in suite_cases(part)}
+    assert set(suite_cases("recipes")) < set(suite_cases("robustness"))
+
+
+def test_the_recipes_are_compared_on_the_same_clouds():
+    cases = suite_cases("recipes")
+    assert len(cases) == 2 * 3 * 3
+    clouds_of = [
+        {(case.cloud, case.sampling, case.seed) for case in cases if case.recipe == recipe}
+        for recipe in ("paper", "robust", "exact")
+    ]
+    assert clouds_of[0] == clouds_of[1] == clouds_of[2]
+
+
+def test_handwriting_is_declared_open():
+    for case in suite_cases("handwriting"):
+        assert dict(case.overrides) == {"open": True}
+        assert not clouds.true_path(case.cloud).closed.any()
+
+
+def test_keys_are_unique_and_safe_for_files(tmp_path):
+    for name in ("own track.csv", "own_track.csv"):
+        write_track(tmp_path / name)
+    cases = {*ALL, *suite_cases("small", circuits=tmp_path)}
+    # Also where file names do not tell upper from lower case.
+    keys = [case.key.lower() for case in cases]
+    assert len(set(keys)) == len(keys)
+    assert all(quality.re.fullmatch(r"[a-z0-9_.-]+", key) for key in keys)
+
+
+def test_seeds_and_starts_can_be_given():
+    cases = suite_cases("closed", seeds=2, starts=7)
+    assert {case.seed for case in cases} == {0, 1}
+    assert {case.starts for case in cases} == {7}
+
+
+def test_bad_suites_are_refused(tmp_path):
+    for arguments in (("none",), ("closed", 0), ("closed", 1, 0)):
+        with pytest.raises(ConfigurationError, match=r"no suite|must be at least 1"):
+            suite_cases(*arguments)
+    with pytest.raises(ConfigurationError, match=r"no \.csv file"):
+        suite_cases("small", circuits=tmp_path)
+
+
+# The measures of the score.
+
+
+def rotation(angle):
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+
+
+def test_the_score_is_compared_by_angle_and_curl():
+    def score(x):
+        return -x
+
+    spiral = np.array([[-1.0, -0.5], [0.5, -1.0]])
+    field = SimpleNamespace(
+        dim=2,
+        sigma=0.1,
+        cloud=make_shape("circle")[0],
+        score=score,
+        mixture=SimpleNamespace(score=lambda x: 2 * score(x) @ rotation(np.pi / 6).T),
+        tangent=lambda x: score(x) @ rotation(np.pi / 3).T,
+        score_model=SimpleNamespace(
+            score_and_jacobian=lambda z: (score(z), np.tile(spiral, (len(z), 1, 1)))
+        ),
+    )
+    found = quality.measure_score(field, shape_path("circle"))
+    assert found["score_cosine"] == pytest.approx(np.cos(np.pi / 6))
+    assert found["score_cosine_p5"] == pytest.approx(np.cos(np.pi / 6))
+    assert found["orthogonality"] == pytest.approx(np.cos(np.pi / 3))
+    # |dSx/dy - dSy/dx| = 1.
+    assert found["score_curl"] == pytest.approx(1 / np.linalg.norm(spiral))
+
+
+def test_the_bias_is_how_far_the_path_moves(make_field):
+    # The ridge of a shifted mixture is shifted; what counts is the part across the circle,
+    # whose mean is 2 / pi.
+    shift = 0.01
+    cloud, path = make_shape("circle")
+    points = cloud.normalize(cloud.points) + np.array([shift, 0.0])
+    field = replace(
+        make_field("exact"), cloud=cloud, sigma=0.2, score_model=GaussianMixture(points, 0.2)
+    )
+    found = quality.measure_score(field, path)["score_bias_u"]
+    assert found == pytest.approx(2 / np.pi * shift, rel=0.05)
+
+
+def test_points_near_the_path_are_near_every_strand_of_it(make_field):
+    reference = clouds.true_path("hairpin")
+    cloud = PointCloud(reference.pieces[0].sample(200))
+    field = replace(make_field("exact"), cloud=cloud)
+    x = quality._near_path(field, reference, np.random.default_rng(0))
+    distance = reference.project(x).distance / cloud.unit_length
+    assert len(x) > 500
+    assert distance.min() >= 0.03
+    assert distance.max() <= 0.3
+
+
+# What counts as falling short.
+
+GOOD = {
+    **{"reach": 1.0, "lap": 1.0, "end": None, "stall": 0.0, "leave": 0.0},
+    **{"self_check_passed": True, "self_check_message": "fine", "error": None},
+}
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({}, None),
+        ({"lap": None, "end": 1.0}, None),
+        ({"lap": 0.965}, "lap 96.5%, self-check passed"),
+        ({"lap": None, "end": 0.5}, "end 50.0%, self-check passed"),
+        ({"stall": 0.1, "self_check_passed": False}, "stall 10.0%, self-check: fine"),
+        ({"self_check_passed": False}, "self-check: fine"),
+        ({"error": "ValueError: no"}, "ValueError: no"),
+    ],
+)
+def test_failures_are_in_words(change, text):
+    assert quality.failure({**GOOD, **change}) == text
+
+
+# Running, once in earnest, in two processes.
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("quality") / "deep" / "out"
+    calls = []
+    table = run_suite([NOWHERE, TINY], folder, lambda *call: calls.append(call), jobs=2)
+    return SimpleNamespace(folder=folder, table=table, calls=calls)
+
+
+def test_a_case_is_measured(measured):
+    row = measured.table.iloc[0]
+    assert row["key"] == TINY.key
+    assert row["lap"] == row["reach"] == 1.0
+    assert row["stall"] == row["leave"] == 0.0
+    assert pd.isna(row["end"])
+    assert 0 < row["rms_u"] <= row["max_u"] < 0.1
+    assert 0.9 < row["speed_min"] <= row["speed_max"] < 1.1
+    # The exact recipe is its own oracle.
+    assert row["score_cosine"] == pytest.approx(1.0)
+    assert max(row["score_bias_u"], row["score_curl"]) < 1e-9
+    assert row["orthogonality"] < 0.1
+    assert row["unit_length"] == pytest.approx(0.75, rel=1e-3)
+    assert (row["num_points"], row["restarts"]) == (200, 0)
+    assert row["train_cpu_s"] > 0
+    assert row["wall_s"] > 0
+
+
+def test_a_case_leaves_its_files_and_nothing_else(measured):
+    names = {path.name for path in measured.folder.iterdir()}
+    files = {f"{TINY.key}.json", f"{TINY.key}.png", f"{NOWHERE.key}.json"}
+    assert names == {*files, "table.csv", "table.parquet"}
+    assert [path.name for path in measured.folder.parent.iterdir()] == ["out"]
+    stored = json.loads((measured.folder / f"{TINY.key}.json").read_text())
+    assert stored["settings"]["tangent_iterations"] == 300
+    table = quality.make_table([stored["row"]])
+    pd.testing.assert_frame_equal(table, measured.table.iloc[:1])
+
+
+def test_an_error_is_a_row_of_the_table(measured):
+    row = measured.table.iloc[1]
+    assert row["error"].startswith("ConfigurationError: there is no path 'nowhere'")
+    assert row["failure"] == row["error"]
+    assert pd.isna(row["lap"])
+    assert "Traceback" in (measured.folder / f"{NOWHERE.key}.json").read_text()
+
+
+def test_the_tables_hold_what_is_returned(measured):
+    parquet = pd.read_parquet(measured.folder / "table.parquet")
+    pd.testing.assert_frame_equal(parquet, measured.table)
+    csv = pd.read_csv(measured.folder / "table.csv")
+    assert csv["key"].tolist() == measured.table["key"].tolist()
+    np.testing.assert_allclose(csv["rms_u"], measured.table["rms_u"])
+
+
+def test_progress_tells_every_case(measured):
+    stages = sorted(call[0] for call in measured.calls)
+    assert stages[0].startswith(f"{TINY.key}: ")
+    assert stages[1].startswith(f"{NOWHERE.key}: ConfigurationError")
+    assert [call[1:] for call in measured.calls] == [(1, 2), (2, 2)]
+
+
+# Running without the work: what is finished stays, everything else runs again.
+
+
+class Work:
+    """Stands in for `run_case`: leaves its files, counts, and fails where told to."""
+
+    def __init__(self):
+        self.done = []
+        self.failing = {}
+
+    def __call__(self, case, folder):
+        error = self.failing.get(case.seed)
+        if error is not None:
+            raise error
+        self.done.append(case.seed)
+        measures = dict.fromkeys(quality.MEASURES, 0.5) | {"restarts": 0, "num_points": 9}
+        row = {**quality._labels(case), **measures, **GOOD, "failure": None}
+        quality._write(case, row, folder, draw=lambda path: path.write_bytes(b"figure"))
+        return row
+
+
+@pytest.fixture
+def work(monkeypatch):
+    work = Work()
+    monkeypatch.setattr(quality, "run_case", work)
+    return work
+
+
+CASES = [Case("fake", "circle", seed=seed) for seed in (2, 0, 1)]
+
+
+def test_finished_cases_are_not_run_again(tmp_path, work):
+    first = run_suite(CASES, tmp_path)
+    assert work.done == [2, 0, 1]
+    calls = []
+    second = run_suite(CASES, tmp_path, lambda *call: calls.append(call))
+    assert work.done == [2, 0, 1]
+    assert calls == [("finished before", 3, 3)]
+    pd.testing.assert_frame_equal(first, second)
+    assert first["seed"].tolist() == [0, 1, 2]
+
+
+def test_an_interrupted_run_loses_nothing(tmp_path, work):
+    work.failing = {0: KeyboardInterrupt()}
+    with pytest.raises(KeyboardInterrupt):
+        run_suite(CASES, tmp_path)
+    assert work.done == [2]
+    work.failing = {}
+    table = run_suite(CASES, tmp_path)
+    assert work.done == [2, 0, 1]
+    assert len(table) == 3
+
+
+def test_a_case_that_raises_is_tried_again(tmp_path, work):
+    work.failing = {0: ValueError("of no use")}
+    table = run_suite(CASES, tmp_path)
+    assert work.done == [2, 1]
+    assert table["error"].tolist() == ["ValueError: of no use", pd.NA, pd.NA]
+    work.failing = {}
+    table = run_suite(CASES, tmp_path)
+    assert work.done == [2, 1, 0]
+    assert table["error"].isna().all()
+
+
+def test_an_error_takes_the_place_of_an_older_result(tmp_path, work):
+    run_suite(CASES, tmp_path)
+    work.failing = {0: ValueError("of no use")}
+    changed = [replace(case, starts=5) for case in CASES]
+    assert run_suite(changed, tmp_path)["error"].notna().sum() == 1
+    assert not (tmp_path / f"{changed[1].key}.png").exists()
+    assert quality.finished_row(CASES[1], tmp_path) is None
+
+
+@pytest.mark.parametrize(
+    "change", [{"starts": 5}, {"overrides": (("open", True),)}, {"source": "elsewhere.csv"}]
+)
+def test_a_changed_case_is_run_again(tmp_path, work, change):
+    run_suite(CASES, tmp_path)
+    run_suite([CASES[0], replace(CASES[1], **change), CASES[2]], tmp_path)
+    assert work.done == [2, 0, 1, 0]
+
+
+def test_a_changed_source_is_run_again(tmp_path, work):
+    file = tmp_path / "track.csv"
+    write_track(file)
+    case = Case("circuits", "track", "recorded", source=str(file))
+    for _ in range(2):
+        run_suite([case], tmp_path / "out")
+    assert work.done == [0]
+    write_track(file, radius=2.0)
+    run_suite([case], tmp_path / "out")
+    assert work.done == [0, 0]
+
+
+def test_results_of_other_code_are_not_reused_unasked(tmp_path, work, monkeypatch):
+    run_suite(CASES, tmp_path)
+    monkeypatch.setattr(quality, "code_digest", lambda: "other")
+    kept = run_suite(CASES, tmp_path, any_code=True)
+    assert len(work.done) == 3
+    assert "other" not in kept["code"].tolist()
+    fresh = run_suite(CASES, tmp_path)
+    assert len(work.done) == 6
+    assert fresh["code"].tolist() == ["other"] * 3
+
+
+@pytest.mark.parametrize(
+    ("target", "name"), [(quality.sgvf_drake, "__version__"), (quality, "RESULTS_VERSION")]
+)
+def test_results_of_another_version_are_never_reused(tmp_path, work, monkeypatch, target, name):
+    run_suite(CASES, tmp_path)
+    monkeypatch.setattr(target, name, 99)
+    run_suite(CASES, tmp_path, any_code=True)
+    assert len(work.done) == 6
+
+
+@pytest.mark.parametrize("text", ["", "{", "[1]", '{"row": {}}', '{"identity": 1, "row": 2}'])
+def test_damaged_results_are_run_again(tmp_path, work, text):
+    run_suite(CASES, tmp_path)
+    (tmp_path / f"{CASES[1].key}.json").write_text(text)
+    run_suite(CASES, tmp_path)
+    assert work.done == [2, 0, 1, 0]
+
+
+def test_a_missing_figure_is_made_again(tmp_path, work):
+    run_suite(CASES, tmp_path)
+    (tmp_path / f"{CASES[1].key}.png").unlink()
+    run_suite(CASES, tmp_path)
+    assert work.done == [2, 0, 1, 0]
+
+
+def test_a_process_that_dies_is_an_error_of_its_case(tmp_path):
+    future = Future()
+    future.set_exception(BrokenProcessPool("killed"))
+    row = quality._row_of(future, TINY, tmp_path)
+    assert row["error"] == "BrokenProcessPool: killed"
+    assert quality.finished_row(TINY, tmp_path) is None
+    assert (tmp_path / f"{TINY.key}.json").exists()
+
+
+def test_the_same_key_twice_is_refused(tmp_path, work):
+    with pytest.raises(ConfigurationError, match="fake-circle-uniform-robust-seed0"):
+        run_suite([*CASES, replace(CASES[1], starts=5)], tmp_path)
+    with pytest.raises(ConfigurationError, match="jobs must be at least 1"):
+        run_suite(CASES, tmp_path, jobs=0)
+    assert work.done == []
+
+
+def test_the_digest_follows_the_code(monkeypatch, tmp_path):
+    digest = quality.code_digest.__wrapped__
+    before = digest()
+    assert digest() == before
+    monkeypatch.setattr(quality, "MEASURED_CODE", quality.MEASURED_CODE[1:])
+    assert digest() != before
+
+
+# The command line.
+
+
+def test_failures_are_printed_first(tmp_path, work):
+    work.failing = {1: ValueError("of [no] use")}
+    table = run_suite(CASES, tmp_path)
+    out = io.StringIO()
+    quality.print_summary(table, Console(file=out, width=80))
+    lines = out.getvalue().splitlines()
+    assert lines[0] == "1 of 3 cases fall short"
+    assert lines[1].strip() == f"{CASES[2].key}: ValueError: of [no] use"
+    (group,) = [line.split() for line in lines if line.startswith("circle uniform")]
+    assert group[2:6] == ["robust", "2/3", "100.0%", "-"]
+
+
+def test_the_summary_fits_in_a_terminal(tmp_path, work):
+    cases = [Case("fake", "concentric-circles", "random-noisy"), *suite_cases("handwriting")]
+    out = io.StringIO()
+    quality.print_summary(run_suite(cases, tmp_path), Console(file=out, width=80))
+    assert "…" not in out.getvalue()
+    assert max(len(line) for line in out.getvalue().splitlines()) <= 80
+
+
+def test_results_of_several_versions_of_the_code_are_told(tmp_path, work):
+    table = run_suite(CASES, tmp_path)
+    table.loc[0, "code"] = "other"
+    out = io.StringIO()
+    quality.print_summary(table, Console(file=out, width=120))
+    assert "several versions of the code" in out.getvalue()
+
+
+@pytest.mark.parametrize(("failing", "status"), [({}, 0), ({0: ValueError("no")}, 1)])
+def test_the_command_runs_a_suite(tmp_path, work, capsys, failing, status):
+    work.failing = failing
+    with pytest.raises(SystemExit) as stop:
+        quality.main(["--out", str(tmp_path / "out"), "--suite", "small", "--starts", "4"])
+    assert stop.value.code == status
+    table = pd.read_csv(tmp_path / "out" / "table.csv")
+    assert set(table["key"]) == {case.key for case in suite_cases("small")}
+    assert set(table["starts"]) == {4}
+    assert "[7/7]" in capsys.readouterr().out
+
+
+def test_the_command_adds_circuits(tmp_path, work):
+    write_track(tmp_path / "track.csv")
+    arguments = ["--out", str(tmp_path / "out"), "--circuits", str(tmp_path), "--seeds", "2"]
+    with pytest.raises(SystemExit):
+        quality.main(arguments)
+    table = pd.read_csv(tmp_path / "out" / "table.csv")
+    assert table.loc[table["name"] == "circuits", "shape"].tolist() == ["track", "track"]
+
+
+def test_bad_input_is_one_line(tmp_path, work, capsys):
+    with pytest.raises(SystemExit) as stop:
+        quality.main(["--out", str(tmp_path), "--circuits", str(tmp_path)])
+    assert stop.value.code == 2
+    assert capsys.readouterr().err.startswith("error: ")
+    assert work.done == []
