@@ -7,15 +7,12 @@ true path, or the spanning tree of the cloud where nothing else is known.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
+from sgvf_drake.arrays import BoolArray, FloatArray, IntArray
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
 from sgvf_drake.paths.reference import Reference, ReferencePath, TreeReference
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.intp]
-BoolArray = NDArray[np.bool_]
 
 REACH_DISTANCE = 0.1
 """Reached: within this many U of the path, once."""

@@ -2,10 +2,7 @@
 
 from typing import Protocol, runtime_checkable
 
-import numpy as np
-from numpy.typing import NDArray
-
-FloatArray = NDArray[np.float64]
+from sgvf_drake.arrays import FloatArray as FloatArray
 
 
 @runtime_checkable

@@ -80,7 +80,7 @@ def main_line(points: FloatArray, piece: TracedPiece, noise: float) -> MainLine:
             strays += 1
         else:
             line = np.insert(line, int(detours.argmin()) + 1, members[member], axis=0)
-    if sparse:
+    if piece.closed:
         line = untangled(line)
     lonely = cKDTree(members[alone]).query(line)[0] == 0 if alone.any() else False
     stray = lonely & (_detour_of_each(line, piece.closed) > DETOUR * step)
@@ -90,9 +90,9 @@ def main_line(points: FloatArray, piece: TracedPiece, noise: float) -> MainLine:
 def untangled(loop: FloatArray) -> FloatArray:
     """Returns a loop shortened by reversing parts of it (2-opt) until none helps.
 
-    Through sparse waypoints the tree zigzags between the two sides of a narrow part; the
-    shortest tour, which runs around a curve that is sampled at all well (Giesen 1999), does
-    not.  The direction of travel is kept.
+    Through sparse waypoints the tree zigzags between the two sides of a narrow part, as it
+    does where an acute tip has few on one side.  The shortest tour does not: it runs around
+    any curve that is sampled well enough (Giesen 1999).  The direction of travel is kept.
     """
     count = len(loop)
     distance = np.linalg.norm(loop[:, None] - loop[None], axis=2)

@@ -7,12 +7,11 @@ import hashlib
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from sgvf_drake.arrays import FloatArray
 from sgvf_drake.exceptions import PointCloudError
 from sgvf_drake.paths.reading import read_waypoints
-
-FloatArray = NDArray[np.float64]
 
 HALF_EXTENT_UNITS = 4.0
 """Half-extent of every cloud in normalised units: the scale of the paper's own shapes, for

@@ -11,12 +11,9 @@ from pathlib import Path
 import re
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sgvf_drake.arrays import FloatArray
 from sgvf_drake.exceptions import PointCloudError
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 
 COORDINATE_NAME = re.compile(r"^([xyz])([_ \[(].*)?$", re.IGNORECASE)
 """Column names that are coordinates: "x", "y_m", "Z [m]", "x(t)"."""

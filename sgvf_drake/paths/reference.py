@@ -10,16 +10,12 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from sgvf_drake.arrays import BoolArray, FloatArray, IntArray
 from sgvf_drake.exceptions import PointCloudError
 from sgvf_drake.paths.point_cloud import PointCloud
 from sgvf_drake.paths.spanning_tree import TracedPiece, trace_pieces
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.intp]
-BoolArray = NDArray[np.bool_]
 
 CLOSING_TOLERANCE = 1e-9
 """First and last point of a file are the same when this close, in parts of the extent."""

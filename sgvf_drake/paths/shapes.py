@@ -5,13 +5,11 @@ import difflib
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sgvf_drake.arrays import FloatArray
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.paths.point_cloud import PointCloud
 from sgvf_drake.paths.reference import Piece, ReferencePath
-
-FloatArray = NDArray[np.float64]
 
 CIRCLE_VERTICES = 4096
 """A circle is a polygon with this many corners: it departs by 3e-7 of its radius."""

@@ -9,15 +9,12 @@ length.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components, dijkstra, minimum_spanning_tree
 from scipy.spatial import cKDTree
 
+from sgvf_drake.arrays import FloatArray, IntArray
 from sgvf_drake.exceptions import PointCloudError
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 
 GAP_PERCENTILE = 90.0
 """The percentile of the tree's edges that stands for the spacing of a cloud."""

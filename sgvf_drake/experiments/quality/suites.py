@@ -1,0 +1,131 @@
+"""The suites: lists of cases, from a quick look to everything."""
+
+from collections.abc import Callable, Iterable
+from enum import StrEnum
+from pathlib import Path
+
+from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.experiments import clouds
+from sgvf_drake.experiments.quality.case import STARTS, Case
+from sgvf_drake.paths import SHAPES
+
+HEADLINE = ("concentric-circles", "separated-circles")
+# Shapes of the size for which a noise of 0.05 is meant.
+LARGE_SHAPES = (*HEADLINE, "circle", "square", "hexagon", "octagon", "triangle", "star")
+RECIPES = ("paper", "robust", "exact")
+# Seeds of the suites, and starts where they are not those of a case, unless given.
+CLOSED_SEEDS, CLOSED_STARTS = 5, 400
+ROBUSTNESS_SEEDS = 3
+
+
+class Suite(StrEnum):
+    """The suites, as the command line offers them."""
+
+    SMALL = "small"
+    CLOSED = "closed"
+    ROBUSTNESS = "robustness"
+    RECIPES = "recipes"
+    HANDWRITING = "handwriting"
+    FULL = "full"
+
+
+def suite_cases(
+    suite: Suite,
+    seeds: int | None = None,
+    starts: int | None = None,
+    circuits: Path | None = None,
+) -> list[Case]:
+    """Returns the cases of a suite.
+
+    Args:
+        suite: small (a minute or two), closed (every named shape), robustness (hard clouds,
+            and the recipes side by side), recipes, handwriting, or full (all of them but
+            small).
+        seeds: Number of seeds, from 0; None: the suite's own.
+        starts: Number of starts; None: the suite's own.
+        circuits: A folder; every .csv file in it is an ordered path and becomes a case.
+
+    Raises:
+        ConfigurationError: A number is not positive, or the folder holds no .csv file.
+    """
+    for name, number in (("seeds", seeds), ("starts", starts)):
+        if number is not None and number < 1:
+            raise ConfigurationError(f"the number of {name} must be at least 1, not {number}")
+    cases = [
+        case
+        for part, default_seeds, default_starts in _SUITES[suite]
+        for seed in range(seeds or default_seeds)
+        for case in part(seed, starts or default_starts)
+    ]
+    if circuits is not None:
+        own = range(seeds or ROBUSTNESS_SEEDS)
+        cases += _file_cases(circuits, own, starts or STARTS)
+    return cases
+
+
+def _small(seed: int, starts: int) -> list[Case]:
+    clean = ("concentric-circles", "separated-circles", "square", "star")
+    cases = [Case("small", name, seed=seed, starts=starts) for name in clean]
+    hard = (("circle", "forty"), ("star", "random-noisy"), ("hairpin", "uniform"))
+    return cases + [Case("small", *cloud, seed=seed, starts=starts) for cloud in hard]
+
+
+def _closed(seed: int, starts: int) -> list[Case]:
+    return [Case("closed", name, seed=seed, starts=starts) for name in SHAPES]
+
+
+def _robustness(seed: int, starts: int) -> list[Case]:
+    hard = (
+        *((name, "forty") for name in LARGE_SHAPES),
+        *((name, "random-noisy") for name in SHAPES),
+        ("circle", "uneven"),
+        *((name, "duplicates") for name in ("concentric-circles", "square")),
+        *((name, "outliers") for name in ("concentric-circles", "square")),
+        ("concentric-circles", "dense"),
+        *((name, "uniform") for name in ("millimetres", "kilometres")),
+        *((name, "uniform") for name in ("two-sizes", "near-touch", "hairpin")),
+        *((name, "fine") for name in clouds.CIRCUITS),
+    )
+    return [Case("robustness", *cloud, seed=seed, starts=starts) for cloud in hard]
+
+
+def _recipes(seed: int, starts: int) -> list[Case]:
+    return [
+        Case("recipes", name, recipe=recipe, seed=seed, starts=starts)
+        for name in HEADLINE
+        for recipe in RECIPES
+    ]
+
+
+def _handwriting(seed: int, starts: int) -> list[Case]:
+    overrides = (("open", True),)
+    return [
+        Case("handwriting", name, "recorded", seed=seed, starts=starts, overrides=overrides)
+        for name in clouds.HANDWRITING
+    ]
+
+
+def _file_cases(folder: Path, seeds: Iterable[int], starts: int) -> list[Case]:
+    files = sorted(folder.glob("*.csv"))
+    if not files:
+        raise ConfigurationError(f"{folder} holds no .csv file")
+    return [
+        Case("circuits", file.stem, "recorded", seed=seed, starts=starts, source=str(file))
+        for seed in seeds
+        for file in files
+    ]
+
+
+_Part = tuple[Callable[[int, int], list[Case]], int, int]
+_CLOSED: _Part = (_closed, CLOSED_SEEDS, CLOSED_STARTS)
+_ROBUSTNESS: _Part = (_robustness, ROBUSTNESS_SEEDS, STARTS)
+_RECIPES: _Part = (_recipes, ROBUSTNESS_SEEDS, STARTS)
+_HANDWRITING: _Part = (_handwriting, 1, STARTS)
+_SUITES: dict[Suite, tuple[_Part, ...]] = {
+    Suite.SMALL: ((_small, 1, STARTS),),
+    Suite.CLOSED: (_CLOSED,),
+    Suite.ROBUSTNESS: (_ROBUSTNESS, _RECIPES),
+    Suite.RECIPES: (_RECIPES,),
+    Suite.HANDWRITING: (_HANDWRITING,),
+    Suite.FULL: (_CLOSED, _ROBUSTNESS, _RECIPES, _HANDWRITING),
+}
