@@ -1,19 +1,26 @@
 """Against what a field is measured: a file, the true shape, or the cloud itself."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
 
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import GuidingField
 from sgvf_drake.paths import (
     Piece,
-    PointCloud,
     Reference,
     ReferencePath,
+    TracedPiece,
     TreeReference,
     shape_path,
     tree_reference,
+    with_ends,
 )
+
+# An end of the field belongs to a piece whose tree ends within this many U of it.
+END_REACH = 1.0
 
 
 def choose_reference(
@@ -49,13 +56,35 @@ def choose_reference(
         return path, "file"
     if field.cloud.shape is not None:
         return shape_path(field.cloud.shape), "shape"
-    return tree_reference(field.cloud), "cloud"
+    return _as_learned(field, tree_reference(field.cloud)), "cloud"
+
+
+def _as_learned(field: GuidingField, tree: TreeReference) -> TreeReference:
+    """Returns the tree with its pieces open where the field has an end, and closed elsewhere.
+
+    The user may have said so against the looks of the tree.  The paper's recipe knows no
+    ends, so there the looks stand.
+    """
+    if field.recipe == "paper":
+        return tree
+
+    def has_end(piece: TracedPiece) -> bool:
+        first_and_last = tree.points[piece.order[[0, -1]]]
+        between = np.linalg.norm(field.ends[:, None] - first_and_last, axis=2)
+        return bool(between.min(initial=np.inf) < END_REACH * field.cloud.unit_length)
+
+    pieces = (with_ends(piece, tree.points, not has_end(piece)) for piece in tree.pieces)
+    return TreeReference(tree.points, tuple(pieces))
 
 
 def scale_reference(reference: Reference, factor: float) -> Reference:
     """Returns the reference in another unit of length: positions times `factor`."""
     if isinstance(reference, TreeReference):
-        return tree_reference(PointCloud(reference.points * factor))
+        pieces = (
+            replace(piece, arc=piece.arc * factor, length=piece.length * factor)
+            for piece in reference.pieces
+        )
+        return TreeReference(reference.points * factor, tuple(pieces))
     if not isinstance(reference, ReferencePath):
         raise TypeError(f"cannot scale a {type(reference).__name__}")
     return ReferencePath(

@@ -1,42 +1,16 @@
 """Which way along each piece: the user's choice, or the rule of the spanning tree."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Literal, get_args
 
 import numpy as np
 
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import FloatArray
-from sgvf_drake.paths import TracedPiece
+from sgvf_drake.paths import TracedPiece, reverse, signed_area
 
 Direction = Literal["ccw", "cw", "reverse"]
 DIRECTIONS: tuple[Direction, ...] = get_args(Direction)
-
-
-def reverse(piece: TracedPiece) -> TracedPiece:
-    """Returns the piece, travelled the other way."""
-    return replace(piece, arc=piece.arc.max() - piece.arc, order=piece.order[::-1])
-
-
-def with_ends(piece: TracedPiece, points: FloatArray, closed: bool) -> TracedPiece:
-    """Returns the piece as a closed or an open one, whatever its tree looks like.
-
-    A piece that is opened breaks where its tree did, at the widest gap of the loop.
-    """
-    if piece.closed == closed:
-        return piece
-    ends = points[piece.order[[0, -1]]]
-    gap = float(np.linalg.norm(ends[1] - ends[0]))
-    if closed:
-        closing = replace(piece, closed=True, length=piece.length + gap)
-        return (
-            closing
-            if len(piece.order) > 2 and _area(points, closing) >= 0
-            else reverse(closing)
-        )
-    opened = replace(piece, closed=False, length=piece.length - gap)
-    return reverse(opened) if tuple(ends[1]) < tuple(ends[0]) else opened
 
 
 def directed(
@@ -96,16 +70,12 @@ def _directed(
                 f"direction {choice!r} is for closed pieces in the plane; "
                 "an open piece takes a start point, or 'reverse'"
             )
-        return piece if (_area(points, piece) > 0) == (choice == "ccw") else reverse(piece)
+        return (
+            piece if (signed_area(points, piece) > 0) == (choice == "ccw") else reverse(piece)
+        )
     if choice == "reverse":
         return reverse(piece)
     return piece
-
-
-def _area(points: FloatArray, piece: TracedPiece) -> float:
-    """Twice the signed area of the first two coordinates."""
-    x, y = points[piece.order, :2].T
-    return float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
 
 
 def _against(points: FloatArray, piece: TracedPiece, velocities: FloatArray) -> bool:

@@ -15,10 +15,9 @@ from scipy.interpolate import make_splprep
 from scipy.spatial import cKDTree
 
 from sgvf_drake.fields import FloatArray
-from sgvf_drake.learning.direction import with_ends
 from sgvf_drake.learning.main_line import STRAY_PIECE, is_sparse, main_line, parted, steps_of
 from sgvf_drake.learning.scales import CloudScales, cloud_scales
-from sgvf_drake.paths import TracedPiece, trace_pieces
+from sgvf_drake.paths import TracedPiece, trace_pieces, with_ends
 
 # More waypoints than this are thinned to one a cell; a cell with less than this share of the
 # median count holds strays.

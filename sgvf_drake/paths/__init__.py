@@ -1,5 +1,6 @@
 """What is followed: point clouds, their pieces, and the true paths for the metrics."""
 
+from sgvf_drake.paths.ends import reverse, signed_area, with_ends
 from sgvf_drake.paths.point_cloud import PointCloud
 from sgvf_drake.paths.reading import read_points
 from sgvf_drake.paths.reference import (
@@ -24,7 +25,10 @@ __all__ = [
     "TreeReference",
     "make_shape",
     "read_points",
+    "reverse",
     "shape_path",
+    "signed_area",
     "trace_pieces",
     "tree_reference",
+    "with_ends",
 ]

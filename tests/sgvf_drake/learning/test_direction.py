@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.learning.direction import DIRECTIONS, directed, reverse, with_ends
+from sgvf_drake.learning.direction import DIRECTIONS, directed
 from sgvf_drake.learning.orientation import orientation_hint
 from sgvf_drake.learning.support import find_support
-from sgvf_drake.paths import make_shape, trace_pieces
+from sgvf_drake.paths import make_shape, reverse, trace_pieces, with_ends
 
 
 @pytest.fixture(scope="module")
