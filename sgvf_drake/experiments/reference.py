@@ -60,20 +60,20 @@ def choose_reference(
 
 
 def _as_learned(field: GuidingField, tree: TreeReference) -> TreeReference:
-    """Returns the tree with its pieces open where the field has an end, and closed elsewhere.
+    """Returns the tree with its pieces open where the field has an end.
 
-    The user may have said so against the looks of the tree.  The paper's recipe knows no
-    ends, so there the looks stand.
+    The user may have said so of a piece that looks closed.
     """
-    if field.recipe == "paper":
-        return tree
 
     def has_end(piece: TracedPiece) -> bool:
         first_and_last = tree.points[piece.order[[0, -1]]]
         between = np.linalg.norm(field.ends[:, None] - first_and_last, axis=2)
         return bool(between.min(initial=np.inf) < END_REACH * field.cloud.unit_length)
 
-    pieces = (with_ends(piece, tree.points, not has_end(piece)) for piece in tree.pieces)
+    pieces = (
+        with_ends(piece, tree.points, closed=False) if has_end(piece) else piece
+        for piece in tree.pieces
+    )
     return TreeReference(tree.points, tuple(pieces))
 
 

@@ -361,3 +361,4 @@ class FieldOf:
     def __init__(self, cloud):
         self.cloud = cloud
         self.dim = cloud.dim
+        self.ends = np.empty((0, cloud.dim))

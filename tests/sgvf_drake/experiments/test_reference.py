@@ -23,7 +23,6 @@ def arc(degrees, count=120):
         (357, {}, True),
         (357, {"open": True}, False),
         (200, {}, False),
-        (200, {"open": False}, True),
     ],
 )
 def test_the_tree_is_open_where_the_field_has_an_end(degrees, config, closed):
