@@ -13,7 +13,8 @@ import pytest
 from safetensors.numpy import save_file
 
 from sgvf_drake import __version__, load_field
-from sgvf_drake.cli import DirectionName, main
+from sgvf_drake.cli import main
+from sgvf_drake.cli.training import DirectionName
 from sgvf_drake.learning.direction import DIRECTIONS
 
 SHAPE = ("--shape", "concentric-flight", "--num-points", "100")

@@ -1,0 +1,124 @@
+"""The tables that the commands print, each from a summary."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+from rich.text import Text
+
+from sgvf_drake.cli.application import console, errors
+
+
+def print_training(summary: Mapping[str, Any]) -> None:
+    """Prints the summary of a training."""
+    rows = {
+        "recipe, seed": f"{summary['recipe']}, {summary['seed']}",
+        "waypoints": f"{summary['num_points']} in {summary['dim']}-D",
+        "unit length U": f"{summary['unit_length']:.4g}",
+        "pieces": _pieces(summary["pieces"]),
+        **_cleaning(summary),
+        "noise level": f"{summary['sigma']:.3g} U",
+        "training": f"{summary['train_cpu_s']:.1f} s CPU, {summary['restarts']} restarts",
+        "self-check": summary["self_check"]["message"],
+    }
+    print_table("Training", rows)
+    if not summary["self_check_passed"]:
+        errors.print("warning: the field failed its self-check", style="bold red")
+
+
+def _pieces(pieces: Sequence[Mapping[str, Any]]) -> str:
+    """Returns how many pieces of each kind there are: "1 open, 1 closed"."""
+    num_closed = sum(piece["closed"] for piece in pieces)
+    counts = {"open": len(pieces) - num_closed, "closed": num_closed}
+    return ", ".join(f"{count} {kind}" for kind, count in counts.items() if count)
+
+
+def _cleaning(summary: Mapping[str, Any]) -> dict[str, str]:
+    """Returns the rows that tell what was done to the waypoints, if anything was."""
+    rows = {}
+    if summary["dropped"]:
+        rows["strays left out"] = str(summary["dropped"])
+    if summary["resampled"]:
+        rows["learned from"] = "waypoints resampled along their pieces"
+    return rows
+
+
+def print_following(summary: Mapping[str, Any]) -> None:
+    """Prints the summary of following."""
+    U = summary["unit_length"]
+    # No fraction of laps where every piece is open, none of ends where every one is closed.
+    aims = {name: summary[f"{name}_fraction"] for name in ("reach", "lap", "end")}
+    aims = {name: value for name, value in aims.items() if value is not None}
+    rows = {
+        "starts": str(summary["starts"]),
+        ", ".join(aims): ", ".join(f"{value:.1%}" for value in aims.values()),
+        "stall, leave": f"{summary['stall_fraction']:.1%}, {summary['leave_fraction']:.1%}",
+        "cross-track RMS": _length(summary["cross_track_rms"], U),
+        "cross-track max": _length(summary["cross_track_max"], U),
+        "speed on the path": (
+            f"{summary['speed_on_path_min']:.3f} to {summary['speed_on_path_max']:.3f}"
+        ),
+        "reference": summary["reference"],
+    }
+    print_table("Following", rows)
+
+
+def _length(value: float | None, unit: float) -> str:
+    return "no agent settled" if value is None else f"{value:.4g} ({value / unit:.4f} U)"
+
+
+def print_flight(summary: Mapping[str, Any]) -> None:
+    """Prints the summary of flights, a row a piece."""
+    demand, limit = summary["acceleration_demand_m_s2"], summary["acceleration_limit_m_s2"]
+    verdict = "feasible" if demand < limit else "NOT feasible"
+    table = Table(title="Flight", title_justify="left")
+    # Broken so that the table fits in 80 columns.
+    headings = ("piece", "RMS\n[m]", "max\n[m]", "speed\n[m/s]", "altitude\nRMS [m]")
+    aim = _aim(summary["pieces"])
+    for heading in (*headings, "force\n[N]", "satu-\nrated", aim, "x real\ntime"):
+        # As text, since "[m]" would be markup.
+        table.add_column(Text(heading), justify="right")
+    for piece in summary["pieces"]:
+        table.add_row(
+            str(piece["piece"] + 1),
+            _number(piece["cross_track_rms_m"]),
+            _number(piece["cross_track_max_m"]),
+            f"{piece['speed_mean_m_s']:.3f}",
+            _number(piece["altitude_rms_m"]),
+            f"{piece['motor_force_max_n']:.2f}",
+            f"{piece['saturated_fraction']:.1%}",
+            _completion(piece),
+            f"{piece['real_time_factor']:.0f}",
+        )
+    console.print(f"acceleration {demand:.2f} of {limit:.1f} m/s^2: {verdict}", highlight=False)
+    console.print(table)
+
+
+def _aim(pieces: Sequence[Mapping[str, Any]]) -> str:
+    """Returns the heading of what is to be completed: laps, ends, or both."""
+    kinds = {"end" if piece["open"] else "laps" for piece in pieces}
+    return ",\n".join(sorted(kinds, reverse=True))
+
+
+def _completion(piece: Mapping[str, Any]) -> str:
+    if piece["open"]:
+        return "yes" if piece["ended"] else "no"
+    return f"{piece['laps']:.2f}"
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4f}"
+
+
+def print_table(title: str, rows: Mapping[str, str]) -> None:
+    """Prints rows of a name and a value."""
+    table = Table(title=title, show_header=False, title_justify="left")
+    for name, value in rows.items():
+        table.add_row(name, value)
+    console.print(table)
+
+
+def print_folder(out: Path) -> None:
+    """Prints where the results are."""
+    console.print(f"results in {out}", markup=False, highlight=False, soft_wrap=True)

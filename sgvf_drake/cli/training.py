@@ -1,0 +1,199 @@
+"""The commands that make a field: train and shapes."""
+
+from collections.abc import Mapping
+from enum import StrEnum
+import math
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from sgvf_drake.cli.application import app, console, progress
+from sgvf_drake.cli.options import Columns, Out, Overwrite, columns_of
+from sgvf_drake.cli.tables import print_folder, print_training
+from sgvf_drake.exceptions import ConfigurationError
+
+# Entries of --direction that leave a piece to the rule.
+RULE_ENTRIES = ("", "-")
+
+
+class RecipeName(StrEnum):
+    """The recipes, as the command line offers them."""
+
+    PAPER = "paper"
+    ROBUST = "robust"
+    EXACT = "exact"
+
+
+class DirectionName(StrEnum):
+    """The directions of travel, as the command line offers them."""
+
+    CCW = "ccw"
+    CW = "cw"
+    REVERSE = "reverse"
+
+
+class SamplingName(StrEnum):
+    """How a named shape is sampled."""
+
+    UNIFORM = "uniform"
+    RANDOM = "random"
+
+
+@app.command()
+def train(
+    out: Out,
+    points: Annotated[
+        Path | None, typer.Option(help="Waypoints in any order: CSV, text or .npy.")
+    ] = None,
+    shape: Annotated[
+        str | None, typer.Option(help="A named shape in place of a file; see `sgvf shapes`.")
+    ] = None,
+    columns: Columns = None,
+    num_points: Annotated[
+        int | None, typer.Option(help="Waypoints of the shape  \\[default: 200].")
+    ] = None,
+    noise: Annotated[
+        float | None, typer.Option(help="Noise of the shape's waypoints, std  \\[default: 0].")
+    ] = None,
+    sampling: Annotated[
+        SamplingName | None, typer.Option(help="Sampling of the shape  \\[default: uniform].")
+    ] = None,
+    recipe: Annotated[RecipeName, typer.Option(help="How to learn.")] = RecipeName.ROBUST,
+    seed: Annotated[int, typer.Option(help="Of every random number of the run.")] = 0,
+    is_open: Annotated[
+        bool | None,
+        typer.Option(
+            "--open/--closed",
+            help="All pieces are open paths, with ends, or closed  \\[default: as they look].",
+        ),
+    ] = None,
+    direction: Annotated[
+        str | None,
+        typer.Option(
+            help="Direction of travel: ccw, cw or reverse; or one for each piece, the longest "
+            "first, as in cw,-,reverse; - is the rule  \\[default: closed pieces ccw, open "
+            "ones from the smaller x].",
+        ),
+    ] = None,
+    start: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y", help="A point near which open paths start, in the waypoints' unit."
+        ),
+    ] = None,
+    sigma: Annotated[
+        float | None, typer.Option(help="Noise level in U  \\[default: from the waypoints].")
+    ] = None,
+    score_iterations: Annotated[
+        int | None, typer.Option(help="Steps of the score network  \\[default: of the recipe].")
+    ] = None,
+    tangent_iterations: Annotated[
+        int | None,
+        typer.Option(help="Steps of the tangent network  \\[default: of the recipe]."),
+    ] = None,
+    max_restarts: Annotated[
+        int | None,
+        typer.Option(help="New attempts after failed self-checks  \\[default: of the recipe]."),
+    ] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Train a guiding field from waypoints."""
+    from sgvf_drake.paths import PointCloud, make_shape
+
+    if (points is None) == (shape is None):
+        raise ConfigurationError("give either --points FILE or --shape NAME")
+    if seed < 0:
+        raise ConfigurationError(f"seed cannot be {seed}")
+    sampled = {"num_points": num_points, "noise": noise, "sampling": sampling}
+    given: dict[str, Any] = {
+        name: value for name, value in sampled.items() if value is not None
+    }
+    overrides: dict[str, Any] = {
+        "sigma_min": sigma,
+        "score_iterations": score_iterations,
+        "tangent_iterations": tangent_iterations,
+        "max_restarts": max_restarts,
+    }
+    of_path: dict[str, Any] = {
+        "open": is_open,
+        "direction": _directions(direction),
+        "start": _point(start),
+    }
+    _check_recipe(recipe, of_path, score_iterations)
+    chosen = columns_of(columns, points, "--points")
+    if points is not None:
+        if given:
+            option = f"--{next(iter(given))}".replace("_", "-")
+            raise ConfigurationError(f"{option} is for --shape; a file is taken as it is")
+        cloud = PointCloud.read(points, chosen)
+    else:
+        assert shape is not None
+        cloud, _ = make_shape(shape, seed=seed, **given)
+    # Slow to import, so only once the waypoints are read.
+    from sgvf_drake.experiments import run_train
+    from sgvf_drake.learning import TrainingConfig
+
+    config = TrainingConfig(recipe=recipe.value, seed=seed, **of_path, **overrides)
+    with progress() as report:
+        summary = run_train(cloud, config, out, overwrite=overwrite, progress=report)
+    print_training(summary)
+    print_folder(out)
+
+
+@app.command()
+def shapes() -> None:
+    """List the named shapes."""
+    from sgvf_drake.paths import SHAPES
+
+    console.print("\n".join(SHAPES))
+
+
+def _directions(text: str | None) -> str | tuple[str | None, ...] | None:
+    """Reads --direction: one direction for all pieces, or one for each."""
+    if text is None:
+        return None
+    entries = tuple(_direction(entry.strip()) for entry in text.split(","))
+    return entries[0] if len(entries) == 1 else entries
+
+
+def _direction(entry: str) -> str | None:
+    if entry in RULE_ENTRIES:
+        return None
+    try:
+        return DirectionName(entry).value
+    except ValueError:
+        names = ", ".join(DirectionName)
+        raise ConfigurationError(
+            f"--direction cannot be {entry!r}; choose {names}, or - for the rule"
+        ) from None
+
+
+def _point(text: str | None) -> tuple[float, ...] | None:
+    """Reads --start, a point X,Y or X,Y,Z."""
+    if text is None:
+        return None
+    try:
+        point = tuple(float(coordinate) for coordinate in text.split(","))
+    except ValueError:
+        point = ()
+    if len(point) < 2 or not all(map(math.isfinite, point)):
+        raise ConfigurationError(f"--start must be a point X,Y, not {text!r}")
+    return point
+
+
+def _check_recipe(
+    recipe: RecipeName, of_path: Mapping[str, Any], score_iterations: int | None
+) -> None:
+    """Refuses options that the recipe would ignore."""
+    if recipe is RecipeName.PAPER:
+        for name, value in of_path.items():
+            if value is not None:
+                option = "--closed" if value is False else f"--{name}"
+                raise ConfigurationError(
+                    f"{option} is not for the recipe paper, which knows no pieces"
+                )
+    if recipe is RecipeName.EXACT and score_iterations is not None:
+        raise ConfigurationError(
+            "--score-iterations is not for the recipe exact, which has no score network"
+        )
