@@ -4,6 +4,7 @@ from sgvf_drake.fields.base import AdjustableField, Field, FloatArray
 from sgvf_drake.fields.composition import Composition, PaperComposition, RobustComposition
 from sgvf_drake.fields.guiding import GuidingField, ScoreNetwork
 from sgvf_drake.fields.mixture import GaussianMixture
+from sgvf_drake.fields.parts import ScoreField, TangentField
 from sgvf_drake.fields.perceptron import FourierFeatures, Perceptron
 from sgvf_drake.fields.storage import load_field, save_field
 
@@ -18,7 +19,9 @@ __all__ = [
     "PaperComposition",
     "Perceptron",
     "RobustComposition",
+    "ScoreField",
     "ScoreNetwork",
+    "TangentField",
     "load_field",
     "save_field",
 ]

@@ -33,8 +33,17 @@ class Composition(ABC):
         """Returns the tangent field v: (n, d) -> (n, d)."""
 
     @abstractmethod
+    def tangent_and_partial(self, N: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Returns v (n, d) and dv/dN (n, d, d)."""
+
+    @abstractmethod
+    def components(self, S: FloatArray, N: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Returns the two parts of m = s + v, (n, d) each: that of the score, the rest."""
+
     def value(self, S: FloatArray, N: FloatArray) -> FloatArray:
         """Returns m: (n, d), (n, d) -> (n, d)."""
+        s, v = self.components(S, N)
+        return s + v
 
     @abstractmethod
     def value_and_partials(
@@ -50,16 +59,19 @@ class PaperComposition(Composition):
     def tangent(self, N: FloatArray) -> FloatArray:
         return N
 
-    def value(self, S: FloatArray, N: FloatArray) -> FloatArray:
+    def tangent_and_partial(self, N: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return N, _identity(N)
+
+    def components(self, S: FloatArray, N: FloatArray) -> tuple[FloatArray, FloatArray]:
         a, _ = _squash_factors(self.gain, _dot(S, S))
-        return a[:, None] * S + N
+        return a[:, None] * S, N
 
     def value_and_partials(
         self, S: FloatArray, N: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         a, _ = _squash_factors(self.gain, _dot(S, S))
         slope, _ = _squash_slopes(self.gain, _dot(S, S))
-        eye = np.broadcast_to(np.eye(S.shape[1]), (*S.shape, S.shape[1]))
+        eye = _identity(S)
         dm_dS = a[:, None, None] * eye + slope[:, None, None] * _outer(S, S)
         return a[:, None] * S + N, dm_dS, eye
 
@@ -92,20 +104,21 @@ class RobustComposition(Composition):
     def tangent(self, N: FloatArray) -> FloatArray:
         return N / _softened_norm(N)[:, None]
 
-    def value(self, S: FloatArray, N: FloatArray) -> FloatArray:
+    def tangent_and_partial(self, N: FloatArray) -> tuple[FloatArray, FloatArray]:
+        norm = _softened_norm(N)[:, None, None]
+        return N / norm[:, :, 0], np.eye(N.shape[1]) / norm - _outer(N, N) / norm**3
+
+    def components(self, S: FloatArray, N: FloatArray) -> tuple[FloatArray, FloatArray]:
         v = self.tangent(N)
         normal = S - (self._projection(_dot(S, S)) * _dot(S, v))[:, None] * v
         a, b = _squash_factors(self.gain, _dot(normal, normal))
-        return a[:, None] * normal + self.tangent_share * b[:, None] * v
+        return a[:, None] * normal, self.tangent_share * b[:, None] * v
 
     def value_and_partials(
         self, S: FloatArray, N: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         eye = np.eye(S.shape[1])
-        norm = _softened_norm(N)[:, None, None]
-        v = N / norm[:, :, 0]
-        dv_dN = eye / norm - _outer(N, N) / norm**3
-
+        v, dv_dN = self.tangent_and_partial(N)
         along, square = _dot(S, v), _dot(S, S)
         g = self._projection(square)
         dg_dS = (2 * self._projection_slope(square, g))[:, None] * S
@@ -137,6 +150,10 @@ class RobustComposition(Composition):
 def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
     # Not np.vdot or a norm: no conjugate, so that a complex step passes through.
     return (a[:, None, :] @ b[:, :, None])[:, 0, 0]
+
+
+def _identity(a: FloatArray) -> FloatArray:
+    return np.broadcast_to(np.eye(a.shape[1]), (*a.shape, a.shape[1]))
 
 
 def _outer(a: FloatArray, b: FloatArray) -> FloatArray:

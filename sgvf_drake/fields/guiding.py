@@ -9,16 +9,13 @@ from typing import Any
 import numpy as np
 
 from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.fields.analytic import AnalyticField
 from sgvf_drake.fields.base import FloatArray
 from sgvf_drake.fields.composition import Composition, RobustComposition
 from sgvf_drake.fields.mixture import GaussianMixture
 from sgvf_drake.fields.perceptron import Perceptron
 from sgvf_drake.fields.rest import Rest
 from sgvf_drake.paths import PointCloud
-
-# The step of the complex-step derivative: no difference is taken, so nothing cancels and
-# the error is of the order of its square.
-COMPLEX_STEP = 1e-30
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +46,7 @@ class ScoreNetwork:
 
 
 @dataclass(frozen=True, eq=False)
-class GuidingField:
+class GuidingField(AnalyticField):
     """The score-induced guiding vector field m = s + v of a cloud of waypoints.
 
     Calls take and return NumPy float64 in the unit of the waypoints, for one point (d,) or
@@ -83,11 +80,6 @@ class GuidingField:
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     @property
-    def dim(self) -> int:
-        """The dimension d of the space."""
-        return self.cloud.dim
-
-    @property
     def mixture(self) -> GaussianMixture:
         """The exact mixture whose score is learned, in the user's unit."""
         points = self.cloud.points if self.support is None else self.support
@@ -98,38 +90,6 @@ class GuidingField:
         """The terminal ends of open paths, (E, d) in the user's unit; E may be zero."""
         return np.empty((0, self.dim)) if self.end_points is None else self.end_points
 
-    def __call__(self, x: FloatArray) -> FloatArray:
-        """Returns m(x): (d,) -> (d,), or (n, d) -> (n, d).
-
-        Raises:
-            ValueError: x is not of shape (d,) or (n, d).
-        """
-        z, shape = self._normalized(x)
-        S, N = self.score_model.score(z), self.tangent_network(z)
-        m = self.composition.value(S, N)
-        if self._rest is not None:
-            w = self._rest.weight(z)[:, None]
-            m = (1 - w) * m + w * self._rest.composition.value(S, N)
-        return m.reshape(shape)
-
-    def value_and_jacobian(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Returns m(x), and J[..., i, j] = dm_i/dx_j of shape (d, d) or (n, d, d)."""
-        z, shape = self._normalized(x)
-        m, J = self._value_and_jacobian(z)
-        return m.reshape(shape), J.reshape(*shape, self.dim) / self.cloud.unit_length
-
-    def hessian(self, x: FloatArray) -> FloatArray:
-        """Returns H[..., i, j, k] = d^2 m_i / dx_j dx_k, shape (d, d, d) or (n, d, d, d).
-
-        By a complex step through the exact Jacobian (Squire and Trapp, SIAM Review 1998):
-        exact to rounding, since every part of the field is analytic.
-        """
-        z, shape = self._normalized(x)
-        steps = COMPLEX_STEP * 1j * np.eye(self.dim)
-        columns = [self._value_and_jacobian(z + step)[1].imag for step in steps]
-        H = np.stack(columns, axis=-1) / COMPLEX_STEP
-        return H.reshape(*shape, self.dim, self.dim) / self.cloud.unit_length**2
-
     def score(self, x: FloatArray) -> FloatArray:
         """Returns the raw score S ~ grad log p at t = 1, per unit of length."""
         z, shape = self._normalized(x)
@@ -139,6 +99,16 @@ class GuidingField:
         """Returns the tangent field v, no unit."""
         z, shape = self._normalized(x)
         return self.composition.tangent(self.tangent_network(z)).reshape(shape)
+
+    def components(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Returns s and v of m = s + v as they stand in m: the normalised score, the rest.
+
+        Of shape (d,) or (n, d), as x.  In the robust composition both are weighted, and the
+        part of the score along the tangent is taken out near the path.
+        """
+        z, shape = self._normalized(x)
+        s, v = self._components(z)
+        return s.reshape(shape), v.reshape(shape)
 
     def rescaled(self, factor: float) -> "GuidingField":
         """Returns the same field in another unit: positions are multiplied by `factor`.
@@ -184,6 +154,19 @@ class GuidingField:
 
         save_field(self, path, overwrite=overwrite)
 
+    def _value(self, z: FloatArray) -> FloatArray:
+        s, v = self._components(z)
+        return s + v
+
+    def _components(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        S, N = self.score_model.score(z), self.tangent_network(z)
+        s, v = self.composition.components(S, N)
+        if self._rest is not None:
+            w = self._rest.weight(z)[:, None]
+            s_rest, v_rest = self._rest.composition.components(S, N)
+            s, v = s + w * (s_rest - s), v + w * (v_rest - v)
+        return s, v
+
     def _value_and_jacobian(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
         S, dS = self.score_model.score_and_jacobian(z)
         N, dN = self.tangent_network.value_and_jacobian(z)
@@ -203,11 +186,3 @@ class GuidingField:
         if len(self.ends) == 0 or not isinstance(self.composition, RobustComposition):
             return None
         return Rest.at(self.cloud.normalize(self.ends), self.composition)
-
-    def _normalized(self, x: FloatArray) -> tuple[FloatArray, tuple[int, ...]]:
-        x = np.asarray(x, dtype=np.float64)
-        if x.ndim not in (1, 2) or x.shape[-1] != self.dim:
-            raise ValueError(
-                f"expected positions of shape ({self.dim},) or (n, {self.dim}), not {x.shape}"
-            )
-        return self.cloud.normalize(np.atleast_2d(x)), x.shape

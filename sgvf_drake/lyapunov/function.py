@@ -1,0 +1,116 @@
+"""The Lyapunov function of a cloud: V = -log(p / p*), in closed form."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sgvf_drake.arrays import FloatArray
+from sgvf_drake.fields import Field, GaussianMixture, GuidingField
+
+# Fixed-point iterations of the mean shift from every point to its mode; each is a step of
+# expectation maximisation, so the density only rises.
+MODE_ITERATIONS = 500
+# A mode is found when a step is this much shorter than the noise level.
+MODE_TOLERANCE = 1e-9
+# The highest points of the density at which the search for the global modes starts.
+MODE_STARTS = 64
+
+
+@dataclass(frozen=True, eq=False)
+class LyapunovFunction:
+    """V(x) = -log(p(x) / p*) >= 0 with p the Gaussian mixture of the waypoints.
+
+    The paper (Section IV) takes V from the learned score, as if grad V = -s.  But s is
+    squashed by tanh, and a network is no gradient; so V comes from an explicit density here,
+    and grad V = -S of the mixture.  Its noise level is free: it need not be that of the field.
+
+    Attributes:
+        mixture: The density p, in the user's unit.
+        lowest: -log p*, the smallest -log p; found from the mixture.
+    """
+
+    mixture: GaussianMixture
+    lowest: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        highest = self.mixture.log_density(find_modes(self.mixture, MODE_STARTS)).max()
+        object.__setattr__(self, "lowest", -float(highest))
+
+    @classmethod
+    def of(cls, guiding: GuidingField, sigma: float | None = None) -> "LyapunovFunction":
+        """Returns V from the points that a field was learned from.
+
+        Args:
+            guiding: The field.
+            sigma: The noise level in the field's unit; None: that of the field.
+
+        Raises:
+            ConfigurationError: sigma is not a positive number.
+        """
+        mixture = guiding.mixture
+        return cls(mixture if sigma is None else GaussianMixture(mixture.points, sigma))
+
+    @property
+    def dim(self) -> int:
+        """The dimension d of the space."""
+        return self.mixture.dim
+
+    @property
+    def sigma(self) -> float:
+        """The noise level, in the user's unit."""
+        return self.mixture.sigma
+
+    def __call__(self, x: FloatArray) -> FloatArray:
+        """Returns V: (n, d) -> (n,)."""
+        return -self.mixture.log_density(x) - self.lowest
+
+    def gradient(self, x: FloatArray) -> FloatArray:
+        """Returns grad V = -S, per unit of length: (n, d) -> (n, d)."""
+        return -self.mixture.score(x)
+
+    def gradient_and_hessian(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Returns grad V (n, d) and its Jacobian (n, d, d), at most I / sigma^2."""
+        score, jacobian = self.mixture.score_and_jacobian(x)
+        return -score, -jacobian
+
+    def derivative(self, x: FloatArray, velocity: FloatArray) -> FloatArray:
+        """Returns V_dot = grad V . velocity, (n, d), (n, d) -> (n,) (paper, Lemma 1)."""
+        return np.asarray((self.gradient(x) * velocity).sum(axis=1))
+
+    def along(self, m: Field, x: FloatArray) -> FloatArray:
+        """Returns V_dot along x_dot = m(x): (n, d) -> (n,)."""
+        return self.derivative(x, m(x))
+
+
+def find_modes(mixture: GaussianMixture, num_starts: int | None = None) -> FloatArray:
+    """Returns local maxima of the density of a mixture, (k, d), each once.
+
+    By mean shift, x <- x + sigma^2 S(x), from the waypoints, which cannot overshoot (Cheng,
+    IEEE PAMI 1995).  On a ridge that is flat to rounding, it stops where it is.
+
+    Args:
+        mixture: The mixture.
+        num_starts: Start only from the waypoints of so many highest densities, which is
+            enough for the global ones; None: from all.
+    """
+    x = mixture.points
+    if num_starts is not None:
+        x = x[np.argsort(-mixture.log_density(x), kind="stable")[:num_starts]]
+    moving = np.ones(len(x), bool)
+    x = x.copy()
+    for _ in range(MODE_ITERATIONS):
+        step = mixture.sigma**2 * mixture.score(x[moving])
+        x[moving] += step
+        moving[moving] = np.linalg.norm(step, axis=1) > MODE_TOLERANCE * mixture.sigma
+        if not moving.any():
+            break
+    return _distinct(x, 1e-3 * mixture.sigma)
+
+
+def _distinct(points: FloatArray, distance: float) -> FloatArray:
+    """Returns points of which no two are nearer than a distance."""
+    kept: list[FloatArray] = []
+    for point in points:
+        if all(np.linalg.norm(point - other) > distance for other in kept):
+            kept.append(point)
+    return np.array(kept)
