@@ -19,14 +19,24 @@ from systems.kinematic import (
     MakeKinematicDiagram,
     SetPositions,
 )
+from systems.lyapunov_monitor import (
+    AddLyapunovMonitor,
+    DifferentiableFunction,
+    LyapunovMonitor,
+    LyapunovMonitor_,
+)
 from systems.quadrotor import QuadrotorParameters
 from systems.se3_law import Gains
 from systems.sensing import AddMotionCapture
+from systems.stop_on_exit import ExitWatch, StopOnExit, SublevelExit
 
 __all__ = [
     "DEFAULT_GAINS",
     "AddGuidance",
+    "AddLyapunovMonitor",
     "AddMotionCapture",
+    "DifferentiableFunction",
+    "ExitWatch",
     "FieldForSpeed",
     "Gains",
     "GuidanceParts",
@@ -34,6 +44,8 @@ __all__ = [
     "GuidanceSystem_",
     "KinematicGuidance",
     "KinematicGuidance_",
+    "LyapunovMonitor",
+    "LyapunovMonitor_",
     "MakeFlightDiagram",
     "MakeKinematicDiagram",
     "MakeSimulator",
@@ -43,4 +55,6 @@ __all__ = [
     "SetHover",
     "SetPositions",
     "SetVehicleState",
+    "StopOnExit",
+    "SublevelExit",
 ]

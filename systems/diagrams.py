@@ -1,18 +1,26 @@
 """Whole flights: guidance, controller, motion capture and vehicle put together."""
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.examples import QuadrotorPlant
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, System
-from pydrake.systems.primitives import LogVectorOutput
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPort, System
+from pydrake.systems.primitives import Demultiplexer, LogVectorOutput
 
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
 from sgvf_drake.fields.base import Field
 from systems.controller import Se3Controller
-from systems.guidance import DEFAULT_ALTITUDE, DEFAULT_SPEED, FieldForSpeed, GuidanceSystem
+from systems.guidance import (
+    DEFAULT_ALTITUDE,
+    DEFAULT_SPEED,
+    VELOCITY_OFFSET,
+    FieldForSpeed,
+    GuidanceSystem,
+)
+from systems.lyapunov_monitor import AddLyapunovMonitor, DifferentiableFunction
 from systems.quadrotor import STATE_SIZE, QuadrotorParameters
 from systems.sensing import DEFAULT_SAMPLE_PERIOD, AddMotionCapture
 
@@ -111,6 +119,8 @@ def MakeFlightDiagram(
     sample_period: float = DEFAULT_SAMPLE_PERIOD,
     log_period: float | None = DEFAULT_SAMPLE_PERIOD,
     feedforward: bool = True,
+    lyapunov: DifferentiableFunction | None = None,
+    level: float = math.inf,
 ) -> Diagram:
     """Returns the diagram of a quadrotor that follows a guiding vector field.
 
@@ -118,6 +128,10 @@ def MakeFlightDiagram(
     and "controller", and the logs (VectorLogSink) "state_log", "velocity_command_log" and
     "propeller_force_log".  A log sees the commands that hold until its sample: at a time
     of sampling, those of the sample before.  The output port `state` (12) is the plant's.
+
+    With a Lyapunov function of dimension d there is a `LyapunovMonitor` "lyapunov" of the
+    vehicle's first d coordinates, and the logs "V_log" and "V_dot_log".  It watches the true
+    state, not the sampled one; see `StopOnExit` for what it can end.
 
     See `SetHover` for the start and `MakeSimulator` for the simulation.
 
@@ -129,6 +143,8 @@ def MakeFlightDiagram(
         sample_period: Of the motion capture, and so of the whole loop, in s.
         log_period: Of the logs in s; 0 logs every step, and None leaves the logs out.
         feedforward: As in `GuidanceSystem`.
+        lyapunov: A Lyapunov function V of dimension 2 or 3; None: there is no monitor.
+        level: Of the sublevel set of V that is watched.
 
     Raises:
         ConfigurationError: if an argument cannot be used.
@@ -155,9 +171,30 @@ def MakeFlightDiagram(
         ):
             log = LogVectorOutput(port, builder, log_period)
             log.set_name(f"{port.get_name()}_log")
+    if lyapunov is not None:
+        AddLyapunovMonitor(
+            builder,
+            lyapunov,
+            plant.GetOutputPort("state"),
+            _VelocityPort(builder, plant, lyapunov.dim),
+            level=level,
+            log_period=log_period,
+        )
     diagram = builder.Build()
     diagram.set_name("flight")
     return diagram
+
+
+def _VelocityPort(builder: DiagramBuilder, plant: System, dim: int) -> OutputPort:
+    """Returns a port with the first entries of v_WB, taken from the vehicle's state."""
+    if dim not in (2, 3):
+        raise ConfigurationError(
+            f"a vehicle needs a Lyapunov function of dimension 2 or 3, got {dim}"
+        )
+    sizes = [VELOCITY_OFFSET, dim, STATE_SIZE - VELOCITY_OFFSET - dim]
+    parts = builder.AddNamedSystem("state_parts", Demultiplexer(sizes))
+    builder.Connect(plant.GetOutputPort("state"), parts.get_input_port())
+    return parts.get_output_port(1)
 
 
 def MakeSimulator(

@@ -1,5 +1,6 @@
 """Agents that move exactly as the field says: the paper's single integrators."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,8 @@ from pydrake.systems.scalar_conversion import TemplateSystem
 
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
 from sgvf_drake.fields.base import Field
-from systems.scalars import SCALARS, CheckFinite, CheckSpeed, EvalFieldValue, Scalar, ToList
+from systems.lyapunov_monitor import AddLyapunovMonitor, DifferentiableFunction
+from systems.scalars import SCALARS, CheckFiniteAgents, CheckSpeed, EvalFieldValue, Scalar
 
 
 @TemplateSystem.define("KinematicGuidance_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
@@ -102,12 +104,7 @@ def KinematicGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
             output.SetFromVector(velocities.reshape(-1))
 
         def _CheckAgents(self, context: Any, quantity: str, values: np.ndarray) -> None:
-            floats = np.array(ToList(values)).reshape(-1, self._field.dim)
-            if np.isfinite(floats).all():
-                return
-            agent = int(np.flatnonzero(~np.isfinite(floats).all(axis=1))[0])
-            what = f"{quantity} of agent {agent}"
-            CheckFinite(self, context, what, floats[agent].tolist())
+            CheckFiniteAgents(self, context, quantity, values.reshape(self.num_agents, -1))
 
     return Impl
 
@@ -120,19 +117,25 @@ def MakeKinematicDiagram(
     num_agents: int = 1,
     speed: float = 1.0,
     log_period: float | None = None,
+    *,
+    lyapunov: DifferentiableFunction | None = None,
+    level: float = math.inf,
 ) -> Diagram:
     """Returns a diagram of n agents with dp/dt = speed m(p) (paper, equation 3).
 
     The state and the output port `positions` (n d) hold the positions one after the other,
     in the field's unit of length.  The systems are named "agents" (Drake's Integrator) and
-    "guidance" (`KinematicGuidance`); see `SetPositions` for the start.
+    "guidance" (`KinematicGuidance`); see `SetPositions` for the start.  With a Lyapunov
+    function there is a `LyapunovMonitor` "lyapunov"; see `StopOnExit` for what it can end.
 
     Args:
         field: The guiding field, of any dimension d.
         num_agents: n.
         speed: In the field's unit of length per second.
-        log_period: Of the VectorLogSink "positions_log" in s; 0 logs every step, and None
-            leaves the log out.
+        log_period: Of the VectorLogSink "positions_log" in s, and with a Lyapunov function
+            of "V_log" and "V_dot_log"; 0 logs every step, and None leaves the logs out.
+        lyapunov: A Lyapunov function V of dimension d; None: there is no monitor.
+        level: Of the sublevel set of V that is watched.
 
     Raises:
         ConfigurationError: if an argument cannot be used.
@@ -146,6 +149,16 @@ def MakeKinematicDiagram(
     if log_period is not None:
         log = LogVectorOutput(agents.get_output_port(), builder, log_period)
         log.set_name("positions_log")
+    if lyapunov is not None:
+        AddLyapunovMonitor(
+            builder,
+            lyapunov,
+            agents.get_output_port(),
+            guidance.GetOutputPort("velocities"),
+            num_agents=num_agents,
+            level=level,
+            log_period=log_period,
+        )
     diagram = builder.Build()
     diagram.set_name("kinematic")
     return diagram

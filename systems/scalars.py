@@ -114,6 +114,22 @@ def CheckFinite(system: Any, context: Any, quantity: Any, values: Sequence[float
     )
 
 
+def CheckFiniteAgents(system: Any, context: Any, quantity: str, values: np.ndarray) -> None:
+    """Raises NonFiniteValueError, naming the first agent with a NaN or an infinity.
+
+    Args:
+        system: The system that met the values.
+        context: Its Context, for the time.
+        quantity: What the values are, for the message: "the position".
+        values: One row an agent, (n, ...), of either scalar type.
+    """
+    floats = np.array(ToList(values)).reshape(len(values), -1)
+    if np.isfinite(floats).all():
+        return
+    agent = int(np.flatnonzero(~np.isfinite(floats).all(axis=1))[0])
+    CheckFinite(system, context, f"{quantity} of agent {agent}", floats[agent].tolist())
+
+
 def _Values(x: np.ndarray) -> np.ndarray:
     return _ad.ExtractValue(x.reshape(-1, 1)).reshape(x.shape)
 

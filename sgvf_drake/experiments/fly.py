@@ -1,6 +1,7 @@
 """Fly Drake's quadrotor along every piece of a path, and measure how well."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,7 +10,7 @@ import pandas as pd
 from pydrake.systems.framework import Context, Diagram
 
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
-from sgvf_drake.experiments.simulation import advance
+from sgvf_drake.experiments.simulation import advance, read_log
 from sgvf_drake.fields import FloatArray, GuidingField
 from sgvf_drake.metrics import REACH_DISTANCE, REST_WINDOW, FollowMetrics, follow_metrics
 from sgvf_drake.paths import Reference, ReferencePath, TreeReference
@@ -198,17 +199,8 @@ def fly(
         unit = field.cloud.unit_length
         start = hover_start(reference, piece, unit, altitude, field.ends)
         duration = flight_duration(reference, piece, unit, speed, laps)
-        try:
+        with lost_control_named(piece, speed, feasibility):
             log, wall_s = simulate(diagram, start, duration, progress)
-        except (RuntimeError, NonFiniteValueError) as error:
-            # How Drake's plant shows that it is out of control: a pitch of 90 degrees.
-            if feasibility.is_feasible and "gimbal-lock" not in str(error):
-                raise
-            raise ConfigurationError(
-                f"the quadrotor lost control on piece {piece + 1} at {speed:g} m/s, where "
-                f"the path demands {feasibility.demand:.1f} m/s^2 and the thrust allows "
-                f"{feasibility.limit:.1f} m/s^2; choose a lower speed"
-            ) from error
         errors = reference.project(log[["x", "y", "z"][: field.dim]].to_numpy()).distance
         log["cross_track_error"] = errors
         metrics = _metrics(log, field, reference, speed)
@@ -219,6 +211,26 @@ def fly(
         }
         flights.append(PieceFlight(piece, log, {"piece": piece, **summary}))
     return FlightResult(flights, feasibility, parameters)
+
+
+@contextmanager
+def lost_control_named(piece: int, speed: float, feasibility: Feasibility) -> Iterator[None]:
+    """Makes one clear error of a flight inside that loses control of the vehicle.
+
+    Raises:
+        ConfigurationError: in place of what Drake's plant raises then.
+    """
+    try:
+        yield
+    except (RuntimeError, NonFiniteValueError) as error:
+        # How Drake's plant shows that it is out of control: a pitch of 90 degrees.
+        if feasibility.is_feasible and "gimbal-lock" not in str(error):
+            raise
+        raise ConfigurationError(
+            f"the quadrotor lost control on piece {piece + 1} at {speed:g} m/s, where "
+            f"the path demands {feasibility.demand:.1f} m/s^2 and the thrust allows "
+            f"{feasibility.limit:.1f} m/s^2; choose a lower speed"
+        ) from error
 
 
 def flown_pieces(reference: Reference, unit_length: float) -> list[int]:
@@ -305,11 +317,9 @@ def flight_log(diagram: Diagram, context: Context) -> pd.DataFrame:
         ("velocity_command_log", COMMAND_COLUMNS),
         ("propeller_force_log", FORCE_COLUMNS),
     ):
-        sink: Any = diagram.GetSubsystemByName(name)
-        log = sink.FindLog(context)
-        tables.append(pd.DataFrame(log.data().T.copy(), columns=list(columns)))
-    times = pd.Series(log.sample_times().copy(), name="time")
-    return pd.concat([times, *tables], axis=1)
+        times, values = read_log(diagram, context, name)
+        tables.append(pd.DataFrame(values, columns=list(columns)))
+    return pd.concat([pd.Series(times, name="time"), *tables], axis=1)
 
 
 def _metrics(

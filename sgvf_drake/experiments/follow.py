@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.experiments.simulation import advance
+from sgvf_drake.experiments.simulation import advance, read_log
 from sgvf_drake.fields import FloatArray, GuidingField
 from sgvf_drake.metrics import FollowMetrics, default_duration, follow_metrics, grid_starts
 from sgvf_drake.paths import Reference, ReferencePath
@@ -110,10 +110,8 @@ def _simulate(
     context = simulator.get_mutable_context()
     SetPositions(diagram, context, starts)
     wall_s = advance(simulator, duration / unit, LOG_PERIOD, "follow", progress)
-    sink: Any = diagram.GetSubsystemByName("positions_log")
-    log = sink.FindLog(context)
-    positions = log.data().T.reshape(-1, *starts.shape)
-    return log.sample_times() * unit, positions, wall_s
+    times, positions = read_log(diagram, context, "positions_log")
+    return times * unit, positions.reshape(-1, *starts.shape), wall_s
 
 
 def _speed_on_path(field: GuidingField, reference: Reference) -> tuple[float, float]:

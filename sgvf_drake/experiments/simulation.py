@@ -1,19 +1,27 @@
-"""Advance a Drake simulation and tell how far it is."""
+"""Advance a Drake simulation, tell how far it is, and read its logs."""
 
 import time
+from typing import Any
 
-from pydrake.systems.analysis import Simulator
+from pydrake.systems.analysis import Simulator, SimulatorStatus
+from pydrake.systems.framework import Context, Diagram
 
+from sgvf_drake.arrays import FloatArray
 from sgvf_drake.progress import Progress
 
 # Reports of one simulation.
 REPORTS = 100
+
+_REACHED_TERMINATION = SimulatorStatus.ReturnReason.kReachedTerminationCondition
 
 
 def advance(
     simulator: Simulator, duration: float, period: float, stage: str, progress: Progress
 ) -> float:
     """Advances a simulation from time zero; returns its wall time in seconds.
+
+    A simulation that a monitor ends, as `systems.StopOnExit` does, is not taken further; the
+    time of its Context tells how far it came, and progress is told no more.
 
     Args:
         simulator: The simulator.
@@ -24,10 +32,19 @@ def advance(
         progress: Told how far it is.
     """
     samples = max(1, int(duration / period / REPORTS))
+    stops = [
+        index * samples * period for index in range(1, int(duration / period / samples) + 1)
+    ]
     begin = time.perf_counter()
-    for index in range(1, int(duration / period / samples) + 1):
-        simulator.AdvanceTo(index * samples * period)
-        progress(stage, index * samples * period, duration)
-    simulator.AdvanceTo(duration)
-    progress(stage, duration, duration)
+    for stop in (*stops, duration):
+        if simulator.AdvanceTo(stop).reason() == _REACHED_TERMINATION:
+            break
+        progress(stage, stop, duration)
     return time.perf_counter() - begin
+
+
+def read_log(diagram: Diagram, context: Context, name: str) -> tuple[FloatArray, FloatArray]:
+    """Returns the times (T,) and the values (T, k) of a VectorLogSink in a diagram."""
+    sink: Any = diagram.GetSubsystemByName(name)
+    log = sink.FindLog(context)
+    return log.sample_times().copy(), log.data().T.copy()

@@ -12,8 +12,10 @@ from sgvf_drake.fields import Field, GaussianMixture, GuidingField
 MODE_ITERATIONS = 500
 # A mode is found when a step is this much shorter than the noise level.
 MODE_TOLERANCE = 1e-9
-# The highest points of the density at which the search for the global modes starts.
+# The global modes are searched from so many points, those that are highest after a few steps
+# from every waypoint: which waypoint is the highest by itself says little at a low noise.
 MODE_STARTS = 64
+FIRST_ITERATIONS = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +66,11 @@ class LyapunovFunction:
         """Returns V: (n, d) -> (n,)."""
         return -self.mixture.log_density(x) - self.lowest
 
+    def value_and_gradient(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Returns V (n,) and grad V (n, d) with one pass over the waypoints."""
+        log_density, score = self.mixture.log_density_and_score(x)
+        return -log_density - self.lowest, -score
+
     def gradient(self, x: FloatArray) -> FloatArray:
         """Returns grad V = -S, per unit of length: (n, d) -> (n, d)."""
         return -self.mixture.score(x)
@@ -90,21 +97,24 @@ def find_modes(mixture: GaussianMixture, num_starts: int | None = None) -> Float
 
     Args:
         mixture: The mixture.
-        num_starts: Start only from the waypoints of so many highest densities, which is
-            enough for the global ones; None: from all.
+        num_starts: Follow only so many of the highest, which is enough for the global ones;
+            None: all.
     """
-    x = mixture.points
+    x = _mean_shift(mixture, mixture.points, FIRST_ITERATIONS)
     if num_starts is not None:
         x = x[np.argsort(-mixture.log_density(x), kind="stable")[:num_starts]]
-    moving = np.ones(len(x), bool)
-    x = x.copy()
-    for _ in range(MODE_ITERATIONS):
+    return _distinct(_mean_shift(mixture, x, MODE_ITERATIONS), 1e-3 * mixture.sigma)
+
+
+def _mean_shift(mixture: GaussianMixture, x: FloatArray, iterations: int) -> FloatArray:
+    x, moving = x.copy(), np.ones(len(x), bool)
+    for _ in range(iterations):
         step = mixture.sigma**2 * mixture.score(x[moving])
         x[moving] += step
         moving[moving] = np.linalg.norm(step, axis=1) > MODE_TOLERANCE * mixture.sigma
         if not moving.any():
             break
-    return _distinct(x, 1e-3 * mixture.sigma)
+    return x
 
 
 def _distinct(points: FloatArray, distance: float) -> FloatArray:

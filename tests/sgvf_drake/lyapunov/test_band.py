@@ -1,0 +1,205 @@
+"""Bands of fields whose V and V_dot are known in closed form, and fields without a band."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import root
+
+from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.fields import GaussianMixture
+from sgvf_drake.lyapunov import (
+    LyapunovFunction,
+    find_band,
+    inward_margins,
+    search_band,
+    take_samples,
+    to_level_set,
+)
+from sgvf_drake.lyapunov.band import LEVEL_MARGIN, MIN_DECREASE, critical_levels
+
+GAIN, SIGMA = 0.2, 0.1
+GRID = 121
+
+
+def band_of(field, path, ratio=1.0):
+    function = LyapunovFunction.of(field, ratio * field.mixture.sigma)
+    return find_band(field, function, take_samples(field, grid_size=GRID), path)
+
+
+@pytest.fixture(scope="module")
+def found(ring):
+    """A ring's field, the ring, and its band at the noise level of the field."""
+    field, path = ring
+    return field, path, band_of(field, path)
+
+
+def test_on_a_ring_v_falls_from_the_border_to_a_thin_tube(found):
+    field, _, band = found
+    border = float(band.function(np.array([[5.0, 0.0]]))[0])
+    assert band.c_out == pytest.approx((1 - LEVEL_MARGIN) * border, rel=1e-3)
+    # V_dot = -|S| tanh(k |S|) at |S| = sqrt(2 V) / sigma is the least decrease by then.
+    slope = np.sqrt(2 * band.c_in) / SIGMA
+    assert band.decrease == pytest.approx(slope * np.tanh(GAIN * slope), rel=0.05)
+    assert band.decrease > MIN_DECREASE
+    assert band.tube.half_width < 0.5 * SIGMA
+    assert band.tube.follows(np.array([True]))
+    assert band.basin.follows(np.array([True]))
+    assert band.basin.compact
+
+
+def test_it_is_what_a_finer_grid_confirms(found):
+    # Other points than those of the search: 400,000 on a polar grid about the ring.
+    field, _, band = found
+    radius, angle = np.meshgrid(np.linspace(3, 5, 400), np.linspace(0, 2 * np.pi, 1_000))
+    x = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1).reshape(-1, 2)
+    V, V_dot = band.function(x), band.function.along(field, x)
+    inside = (band.c_in <= V) & (band.c_out >= V)
+    assert inside.sum() > 100_000
+    assert V_dot[inside].max() < -MIN_DECREASE
+
+
+def test_between_two_rings_it_ends_at_the_critical_level(ring_field):
+    field, path = ring_field(radii=(4.0, 3.0))
+    band = band_of(field, path)
+    medial = np.linspace(3.3, 3.7, 401)
+    ridge = band.function(np.column_stack([medial, np.zeros_like(medial)])).max()
+    assert 0.9 * ridge < band.c_out < ridge
+    assert sorted(c.pieces for c in band.basin.components) == [(0,), (1,)]
+
+
+def test_it_scales_and_moves_with_the_waypoints(ring_field, found):
+    _, _, plain = found
+    moved = band_of(*ring_field(unit=1e3, center=(5e4, -2e4)))
+    assert moved.c_in == pytest.approx(plain.c_in, rel=1e-3)
+    assert moved.c_out == pytest.approx(plain.c_out, rel=1e-6)
+    assert 1e3 * moved.decrease == pytest.approx(plain.decrease, rel=1e-3)
+    assert moved.tube.half_width == pytest.approx(1e3 * plain.tube.half_width, rel=1e-2)
+
+
+def test_the_search_takes_the_thin_tube_among_large_bands(ring, found):
+    field, path = ring
+    samples = take_samples(field, grid_size=GRID)
+    ratios = (1.0, 2.0)
+    chosen = search_band(field, samples, path, ratios)
+    bands = [band_of(field, path, ratio) for ratio in ratios]
+    largest = max(band.area for band in bands)
+    large = [band for band in bands if band.area >= 0.95 * largest]
+    assert chosen.tube.half_width == min(band.tube.half_width for band in large)
+
+
+def test_where_m_leads_away_there_is_no_band(ring_field, linear):
+    outward = ring_field(tangent=linear(np.eye(2)), composition="paper")
+    assert band_of(*outward) is None
+
+
+def test_beads_are_no_tube(ring_field):
+    # Waypoints four noise levels apart; V has to rise from each to the next.
+    field, path = ring_field(spacing=0.4)
+    band = band_of(field, path)
+    saddle = np.array([[4.0 * np.cos(0.05), 4.0 * np.sin(0.05)]])
+    assert band is None or band.c_in > float(band.function(saddle)[0])
+
+
+def test_what_lies_between_the_samples_is_found(ring):
+    """A place too small for the grid, where m is turned around."""
+    field, path = ring
+    samples = take_samples(field, grid_size=GRID)
+    step = samples.axes[0][1] - samples.axes[0][0]
+    near = np.array([3.6, 1.0])
+    place = samples.axes[0][0] + step * (np.floor((near - samples.axes[0][0]) / step) + 0.5)
+    width = 0.3 * step
+
+    class Turned:
+        cloud, mixture, dim = field.cloud, field.mixture, field.dim
+
+        def __call__(self, x):
+            weight = np.exp(-0.5 * ((x - place) ** 2).sum(axis=1) / width**2)
+            return (1 - 2 * weight)[:, None] * field(x)
+
+    turned = Turned()
+    grid = samples.x[samples.on_grid]
+    only_grid = replace(samples, x=grid, s=turned(grid), v=np.zeros_like(grid))
+    function = LyapunovFunction.of(field)
+    # No sample sees it rise, but the search must.
+    V = float(function(place[None])[0])
+    assert function.along(turned, grid)[np.abs(function(grid) - V) < 0.2 * V].max() < 0
+    band = find_band(turned, function, only_grid, path)
+    assert band.c_out < V
+
+
+def test_critical_levels_are_those_of_the_saddles():
+    points = np.array([[-1.0, 0.0], [1.0, 0.0], [0.0, 2.0]])
+    function = LyapunovFunction(GaussianMixture(points, 0.5))
+
+    class Grid:
+        axes = (np.linspace(-3, 3, 61), np.linspace(-3, 3, 61))
+        x = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+        on_grid = slice(None)
+        corners = (np.array([-3.0, -3.0]), np.array([3.0, 3.0]))
+
+    slope = np.linalg.norm(function.gradient(Grid.x), axis=1).reshape(61, 61)
+    levels = np.unique(np.round(critical_levels(function, Grid, slope), 6))
+    # The independent library, from a coarse grid: three modes, two of them equally high, two
+    # saddles beside the third and one between the two, and a minimum of the density.
+    roots = [
+        root(lambda x: function.gradient(x[None])[0], start, tol=1e-12) for start in Grid.x[::7]
+    ]
+    points = np.array([found.x for found in roots if found.success])
+    expected = np.unique(np.round(function(points[np.abs(points).max(axis=1) < 3]), 6))
+    np.testing.assert_allclose(levels, expected, atol=2e-6)
+    assert len(levels) == 5
+
+
+def test_margins_are_the_inward_speed(found):
+    field, _, band = found
+    samples = take_samples(field, grid_size=GRID)
+    margins = inward_margins(field, band.function, samples, band.c_in, band.c_out, 9)
+    speed = np.tanh(GAIN * np.sqrt(2 * margins.levels) / SIGMA)
+    np.testing.assert_allclose(margins.e_star, speed, rtol=0.03)
+    assert (np.diff(margins.e_star) > -1e-6).all()
+    assert margins.largest == margins.e_star.max()
+    np.testing.assert_allclose(band.function(margins.weakest), margins.levels, rtol=1e-5)
+    middle = np.sqrt(margins.levels[3] * margins.levels[4])
+    assert margins.e_star[3] <= margins.at(middle) <= margins.e_star[4]
+
+
+@pytest.mark.parametrize("level", [0.05, 1.0, 20.0])
+def test_level_sets_are_reached_all_around(ring, level):
+    field, _ = ring
+    function = LyapunovFunction.of(field)
+    x = take_samples(field, grid_size=GRID).x
+    near = np.argsort(np.abs(function(x) - level))[:2_000]
+    x = to_level_set(function, x[near], level)
+    np.testing.assert_allclose(function(x), level, rtol=1e-5)
+    angle = np.sort(np.arctan2(x[:, 1], x[:, 0]))
+    assert np.diff(angle).max() < 0.15
+    radius = np.linalg.norm(x, axis=1)
+    for side in (radius < 4, radius > 4):
+        assert side.sum() > 0.2 * len(x)
+
+
+def test_samples_are_even_and_near(ring):
+    field, _ = ring
+    samples = take_samples(field, seed=1, grid_size=GRID)
+    np.testing.assert_array_equal(samples.m, samples.s + samples.v)
+    np.testing.assert_allclose(samples.m, field(samples.x), atol=1e-14)
+    grid = samples.as_grid(samples.x)
+    np.testing.assert_array_equal(grid[0, :, 0], samples.axes[0])
+    np.testing.assert_array_equal(grid[:, 0, 1], samples.axes[1])
+    lower, upper = field.cloud.box
+    assert ((samples.x >= lower) & (samples.x <= upper)).all()
+    np.testing.assert_array_equal(samples.corners, (lower, upper))
+    near = np.abs(np.linalg.norm(samples.x, axis=1) - 4) < 3 * SIGMA
+    assert near.mean() > 0.3
+    again = take_samples(field, seed=1, grid_size=GRID)
+    np.testing.assert_array_equal(again.x, samples.x)
+
+
+def test_only_planar_fields_are_sampled(make_field, ring):
+    with pytest.raises(
+        ConfigurationError, match="only planar fields are checked, not one of 3"
+    ):
+        take_samples(make_field("robust", dim=3))
+    with pytest.raises(ConfigurationError, match="at least 3 points, not 2"):
+        take_samples(ring[0], grid_size=2)

@@ -1,0 +1,126 @@
+"""V against its definition, finite differences and what is known of modes."""
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.fields import GaussianMixture
+from sgvf_drake.lyapunov import LyapunovFunction, find_modes
+
+
+def mixture_of(seed, count=12, sigma=0.5, dim=2, scale=1.0):
+    points = np.random.default_rng(seed).uniform(-2, 2, (count, dim))
+    return GaussianMixture(scale * points, scale * sigma)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_it_is_the_logarithm_of_the_density(dim):
+    mixture = mixture_of(0, dim=dim)
+    V = LyapunovFunction(mixture)
+    x = np.random.default_rng(1).uniform(-3, 3, (50, dim))
+    density = np.exp(mixture.log_density(x))
+    highest = np.exp(-V.lowest)
+    np.testing.assert_allclose(V(x), -np.log(density / highest), rtol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("sigma", [0.1, 0.4, 1.5])
+def test_it_is_nowhere_negative_and_zero_at_the_global_mode(seed, sigma):
+    # The independent library searches from every waypoint.
+    mixture = mixture_of(seed, sigma=sigma)
+    V = LyapunovFunction(mixture)
+    lowest = min(
+        minimize(
+            lambda x: V(x[None])[0],
+            start,
+            jac=lambda x: V.gradient(x[None])[0],
+            options={"gtol": 1e-10},
+        ).fun
+        for start in mixture.points
+    )
+    assert lowest == pytest.approx(0.0, abs=1e-9)
+
+
+def test_gradient_and_hessian_are_those_of_its_values():
+    V = LyapunovFunction(mixture_of(3))
+    x = np.random.default_rng(4).uniform(-3, 3, (40, 2))
+    h = 1e-5
+    steps = h * np.eye(2)
+    slopes = np.stack([(V(x + s) - V(x - s)) / (2 * h) for s in steps], axis=1)
+    value, slope = V.value_and_gradient(x)
+    gradient, hessian = V.gradient_and_hessian(x)
+    np.testing.assert_allclose(gradient, slopes, atol=1e-7)
+    np.testing.assert_array_equal(V(x), value)
+    np.testing.assert_allclose(V.gradient(x), gradient, atol=1e-12)
+    np.testing.assert_allclose(slope, gradient, atol=1e-12)
+    bends = np.stack([(V.gradient(x + s) - V.gradient(x - s)) / (2 * h) for s in steps], axis=2)
+    np.testing.assert_allclose(hessian, bends, atol=1e-6)
+    # The curvature of a mixture of equal Gaussians is at most theirs.
+    assert np.linalg.eigvalsh(hessian).max() <= 1 / V.sigma**2 + 1e-9
+
+
+def test_the_derivative_is_that_along_a_motion(ring):
+    field, _ = ring
+    V = LyapunovFunction.of(field)
+    x = np.array([[4.3, 0.2], [1.0, -2.0], [-3.9, 0.5]])
+    h = 1e-6
+    m = field(x)
+    numeric = (V(x + h * m) - V(x - h * m)) / (2 * h)
+    np.testing.assert_allclose(V.along(field, x), numeric, rtol=1e-6)
+    np.testing.assert_allclose(V.derivative(x, m), numeric, rtol=1e-6)
+
+
+def test_near_a_dense_ring_it_is_the_square_of_the_distance(ring_field):
+    # V ~ d^2 / (2 sigma^2) + log(1 + d / R) / 2 beside a circle of radius R, from Laplace's
+    # method on the angle; what it leaves out is of the order (sigma / R)^2.
+    sigma, radius = 0.1, 4.0
+    V = LyapunovFunction.of(ring_field(spacing=0.02, sigma=sigma)[0])
+    d = np.linspace(-0.3, 0.3, 13)
+    x = np.column_stack([radius + d, np.zeros_like(d)])
+    expected = d**2 / (2 * sigma**2) + 0.5 * np.log1p(d / radius)
+    np.testing.assert_allclose(V(x) - V(x[6:7]), expected, atol=(sigma / radius) ** 2)
+
+
+@given(st.integers(0, 10_000), st.sampled_from([1e-3, 1.0, 1e4]))
+@settings(max_examples=25, deadline=None)
+def test_it_has_no_unit(seed, scale):
+    x = np.random.default_rng(seed).uniform(-3, 3, (20, 2))
+    plain, scaled = (
+        LyapunovFunction(mixture_of(seed, scale=factor)) for factor in (1.0, scale)
+    )
+    np.testing.assert_allclose(scaled(scale * x), plain(x), rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(scale * scaled.gradient(scale * x), plain.gradient(x), atol=1e-8)
+
+
+def test_the_noise_level_is_free(ring):
+    field, _ = ring
+    unit = field.cloud.unit_length
+    assert LyapunovFunction.of(field).sigma == pytest.approx(field.sigma * unit)
+    assert LyapunovFunction.of(field, 0.3).sigma == 0.3
+    with pytest.raises(ConfigurationError, match="sigma must be a positive number, not 0"):
+        LyapunovFunction.of(field, 0.0)
+
+
+def test_modes_of_two_heaps_are_two():
+    rng = np.random.default_rng(0)
+    heaps = [center + 0.1 * rng.standard_normal((30, 2)) for center in ([-2, 0], [2, 1])]
+    modes = find_modes(GaussianMixture(np.concatenate(heaps), 0.5))
+    assert len(modes) == 2
+    np.testing.assert_allclose(np.sort(modes[:, 0]), [-2, 2], atol=0.1)
+
+
+def test_modes_are_maxima():
+    mixture = mixture_of(5, sigma=0.3)
+    modes = find_modes(mixture)
+    score, jacobian = mixture.score_and_jacobian(modes)
+    assert np.abs(score).max() < 1e-6 / mixture.sigma
+    assert np.linalg.eigvalsh(jacobian).max() < 0
+
+
+def test_one_waypoint_many_times_is_one_mode():
+    mixture = GaussianMixture(np.tile([[1.0, 2.0]], (5, 1)), 0.2)
+    np.testing.assert_allclose(find_modes(mixture), [[1.0, 2.0]])
+    assert LyapunovFunction(mixture)(np.array([[1.0, 2.2]])) == pytest.approx([0.5])

@@ -1,0 +1,422 @@
+"""The monitor against the function, finite differences, and trajectories."""
+
+import math
+import re
+
+import numpy as np
+from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import ConstantVectorSource
+import pytest
+
+from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
+from sgvf_drake.fields import GaussianMixture
+from sgvf_drake.lyapunov import LyapunovFunction
+from systems import (
+    AddLyapunovMonitor,
+    LyapunovMonitor,
+    LyapunovMonitor_,
+    MakeFlightDiagram,
+    MakeKinematicDiagram,
+    MakeSimulator,
+    SetHover,
+    SetPositions,
+    SetVehicleState,
+)
+
+PORTS = ("V", "V_dot", "margin")
+
+
+class CountingFunction:
+    """A function that counts its calls and must never see objects."""
+
+    def __init__(self, function):
+        self.function, self.dim = function, function.dim
+        self.values = self.gradients = 0
+
+    def __call__(self, x):
+        assert x.dtype == np.float64
+        self.values += 1
+        return self.function(x)
+
+    def gradient(self, x):
+        assert x.dtype == np.float64
+        self.gradients += 1
+        return self.function.gradient(x)
+
+    def gradient_and_hessian(self, x):
+        assert x.dtype == np.float64
+        return self.function.gradient_and_hessian(x)
+
+
+def make_function(dim=2):
+    """V of a mixture without any symmetry."""
+    points = np.random.default_rng(7).uniform(-1.0, 1.0, (12, dim))
+    return CountingFunction(LyapunovFunction(GaussianMixture(points, 0.4)))
+
+
+@pytest.fixture
+def function():
+    return make_function()
+
+
+@pytest.fixture(scope="module")
+def ring_function():
+    """V of the circle of the closed-form fields, in the plane."""
+    angle = 2.0 * math.pi * np.arange(200) / 200
+    points = np.column_stack((np.cos(angle), np.sin(angle)))
+    return LyapunovFunction(GaussianMixture(points, 0.1))
+
+
+def evaluate(monitor, state, velocity, level=None):
+    """The outputs by their names."""
+    context = monitor.CreateDefaultContext()
+    monitor.GetInputPort("state").FixValue(context, state)
+    monitor.GetInputPort("velocity").FixValue(context, velocity)
+    if level is not None:
+        monitor.SetLevel(context, level)
+    return {name: monitor.GetOutputPort(name).Eval(context) for name in PORTS}
+
+
+def random_motion(agents, state_size, dim, seed=0):
+    rng = np.random.default_rng(seed)
+    return rng.uniform(-1.5, 1.5, (agents, state_size)), rng.normal(size=(agents, dim))
+
+
+def differences(function, x, h=1e-6):
+    """The derivative of a vector by a vector, by central differences."""
+    return np.column_stack(
+        [(function(x + e) - function(x - e)) / (2.0 * h) for e in h * np.eye(len(x))]
+    )
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("agents", [1, 5])
+@pytest.mark.parametrize("extra", [0, 10])
+def test_outputs_agree_with_the_function(dim, agents, extra):
+    V, h = make_function(dim), 1e-6
+    states, velocities = random_motion(agents, dim + extra, dim)
+    x = states[:, :dim]
+    outputs = evaluate(
+        LyapunovMonitor(V, agents, 3.0, dim + extra), states.ravel(), velocities.ravel()
+    )
+    np.testing.assert_array_equal(outputs["V"], V(x))
+    np.testing.assert_array_equal(outputs["margin"], 3.0 - V(x))
+    # V a little later and earlier, along the velocity.
+    rate = (V(x + h * velocities) - V(x - h * velocities)) / (2.0 * h)
+    np.testing.assert_allclose(outputs["V_dot"], rate, rtol=1e-7, atol=1e-8)
+
+
+def test_the_docstring_shows_the_ports(function):
+    lines = [line.strip() for line in LyapunovMonitor_[float].__doc__.splitlines()]
+    inputs, outputs = (lines.index(f"{kind}_ports:") for kind in ("input", "output"))
+    system = LyapunovMonitor(function)
+    assert lines[inputs + 1 : outputs] == [
+        f"- {system.get_input_port(k).get_name()}" for k in range(system.num_input_ports())
+    ]
+    assert lines[outputs + 1 : outputs + 4] == [
+        f"- {system.get_output_port(k).get_name()}" for k in range(system.num_output_ports())
+    ]
+    assert not lines[outputs + 4]
+    assert [line[2:] for line in lines[outputs + 1 : outputs + 4]] == list(PORTS)
+
+
+def test_V_needs_neither_a_velocity_nor_a_gradient(function):  # noqa: N802
+    monitor = LyapunovMonitor(function, level=2.0)
+    context = monitor.CreateDefaultContext()
+    monitor.GetInputPort("state").FixValue(context, [0.3, 0.4])
+    V = monitor.GetOutputPort("V").Eval(context)
+    assert monitor.GetOutputPort("margin").Eval(context) == 2.0 - V
+    assert (function.values, function.gradients) == (1, 0)
+
+
+def test_changed_level_takes_effect_at_once_and_costs_no_evaluation(function):
+    monitor = LyapunovMonitor(function, 2, level=2.0)
+    context = monitor.CreateDefaultContext()
+    monitor.GetInputPort("state").FixValue(context, [0.3, 0.4, -1.0, 1.0])
+    margin = monitor.GetOutputPort("margin")
+    before = margin.Eval(context).copy()
+    monitor.SetLevel(context, 5.0)
+    assert monitor.GetLevel(context) == 5.0
+    np.testing.assert_allclose(margin.Eval(context), before + 3.0)
+    assert function.values == 1
+
+
+def test_outputs_follow_the_state_and_the_velocity(function):
+    monitor = LyapunovMonitor(function)
+    context = monitor.CreateDefaultContext()
+    for seed in range(3):
+        (x,), (v,) = random_motion(1, 2, 2, seed)
+        monitor.GetInputPort("state").FixValue(context, x)
+        for factor in (1.0, -2.0):
+            monitor.GetInputPort("velocity").FixValue(context, factor * v)
+            V_dot = monitor.GetOutputPort("V_dot").Eval(context)
+            expected = factor * function.gradient(x[None])[0] @ v
+            assert V_dot == pytest.approx(expected, rel=1e-12)
+        assert monitor.GetOutputPort("V").Eval(context) == function(x[None])
+
+
+def test_clone_and_scalar_conversion_keep_the_level_and_the_arguments(function):
+    monitor = LyapunovMonitor(function, 3, 1.0, state_size=12)
+    context = monitor.CreateDefaultContext()
+    monitor.SetLevel(context, 7.0)
+    assert monitor.GetLevel(context.Clone()) == 7.0
+    autodiff = monitor.ToAutoDiffXd()
+    assert (autodiff.num_agents, autodiff.function) == (3, function)
+    assert autodiff.GetInputPort("state").size() == 36
+    assert autodiff.GetLevel(autodiff.CreateDefaultContext()).value() == 1.0
+    converted = autodiff.CreateDefaultContext()
+    converted.SetTimeStateAndParametersFrom(context)
+    assert autodiff.GetLevel(converted).value() == 7.0
+
+
+def test_without_a_level_the_margin_is_infinite(function):
+    outputs = evaluate(LyapunovMonitor(function, 2), np.zeros(4), np.ones(4))
+    np.testing.assert_array_equal(outputs["margin"], np.inf)
+    outputs = evaluate(
+        LyapunovMonitor(function, 2).ToAutoDiffXd(), InitializeAutoDiff(np.zeros(4)), np.ones(4)
+    )
+    assert [margin.value() for margin in outputs["margin"]] == [math.inf, math.inf]
+    assert evaluate(LyapunovMonitor(function), [0.0, 0.0], [0.0, 0.0], -math.inf)["margin"] < 0
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("agents", [1, 3])
+def test_gradients_agree_with_differences(dim, agents):
+    V, state_size = make_function(dim), 5
+    monitor = LyapunovMonitor(V, agents, 3.0, state_size)
+    autodiff = monitor.ToAutoDiffXd()
+    states, velocities = random_motion(agents, state_size, dim, seed=1)
+    z = np.concatenate((states.ravel(), velocities.ravel()))
+    size = states.size
+    at = InitializeAutoDiff(z).ravel()
+    outputs = evaluate(autodiff, at[:size], at[size:])
+    floats = evaluate(monitor, z[:size], z[size:])
+    for name in PORTS:
+        column = outputs[name].reshape(-1, 1)
+        expected = differences(
+            lambda z, name=name: evaluate(monitor, z[:size], z[size:])[name], z
+        )
+        np.testing.assert_allclose(ExtractValue(column).ravel(), floats[name], rtol=1e-13)
+        np.testing.assert_allclose(ExtractGradient(column), expected, rtol=1e-6, atol=1e-7)
+
+
+def test_one_of_the_inputs_may_be_a_constant(function):
+    autodiff = LyapunovMonitor(function).ToAutoDiffXd()
+    (x,), (v,) = random_motion(1, 2, 2)
+    gradient, H = (part[0] for part in function.gradient_and_hessian(x[None]))
+    for state, velocity, expected in (
+        (InitializeAutoDiff(x), v, H @ v),
+        (x, InitializeAutoDiff(v), gradient),
+    ):
+        V_dot = evaluate(autodiff, state, velocity)["V_dot"]
+        np.testing.assert_allclose(ExtractGradient(V_dot.reshape(-1, 1))[0], expected)
+    assert evaluate(autodiff, x, v)["V_dot"][0].value() == pytest.approx(gradient @ v)
+
+
+def test_margin_has_a_gradient_by_the_level(function):
+    level = InitializeAutoDiff(np.array([2.0]))[0, 0]
+    (x,), (v,) = random_motion(1, 2, 2)
+    margin = evaluate(LyapunovMonitor(function).ToAutoDiffXd(), x, v, level)["margin"]
+    np.testing.assert_array_equal(margin[0].derivatives(), [1.0])
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_what_is_not_finite_is_named_with_the_agent(function, value):
+    monitor = LyapunovMonitor(function, 3)
+    monitor.set_name("watch")
+    for system in (monitor, monitor.ToAutoDiffXd()):
+        for port, output, name in (
+            ("state", "V", "the position of agent 1"),
+            ("state", "V_dot", "the position of agent 1"),
+            ("state", "margin", "the position of agent 1"),
+            ("velocity", "V_dot", "the velocity of agent 1"),
+        ):
+            context = system.CreateDefaultContext()
+            values = {"state": np.zeros(6), "velocity": np.zeros(6)}
+            values[port][3] = value
+            for key, vector in values.items():
+                system.GetInputPort(key).FixValue(context, vector)
+            with pytest.raises(NonFiniteValueError, match=rf"watch: {name} .* t = 0 s"):
+                system.GetOutputPort(output).Eval(context)
+
+
+def test_function_that_is_not_finite_is_named():
+    class Broken:
+        dim = 2
+
+        def __call__(self, x):
+            return np.where(x[:, 0] > 0.0, np.nan, 0.0)
+
+        def gradient(self, x):
+            return np.full(x.shape, np.nan)
+
+    monitor = LyapunovMonitor(Broken(), 2)
+    context = monitor.CreateDefaultContext()
+    monitor.GetInputPort("state").FixValue(context, [-1.0, 0.0, 1.0, 0.0])
+    monitor.GetInputPort("velocity").FixValue(context, np.ones(4))
+    with pytest.raises(NonFiniteValueError, match="V of agent 1"):
+        monitor.GetOutputPort("V").Eval(context)
+    with pytest.raises(NonFiniteValueError, match="V_dot of agent 0"):
+        monitor.GetOutputPort("V_dot").Eval(context)
+
+
+def test_bad_arguments_are_refused(function):
+    with pytest.raises(ConfigurationError, match="num_agents must be at least 1, got 0"):
+        LyapunovMonitor(function, 0)
+    with pytest.raises(ConfigurationError, match="level must be a number"):
+        LyapunovMonitor(function, level=math.nan)
+    with pytest.raises(ConfigurationError, match="at least the dimension 2, got 1"):
+        LyapunovMonitor(function, state_size=1)
+    monitor = LyapunovMonitor(function)
+    with pytest.raises(ConfigurationError, match="level must be a number"):
+        monitor.SetLevel(monitor.CreateDefaultContext(), math.nan)
+
+
+@pytest.mark.parametrize(("agents", "velocity"), [(2, 2), (3, 4), (0, 0)])
+def test_ports_that_do_not_fit_are_refused(function, agents, velocity):
+    builder = DiagramBuilder()
+    state = builder.AddSystem(ConstantVectorSource(np.zeros(4))).get_output_port()
+    rates = builder.AddSystem(ConstantVectorSource(np.zeros(velocity + 1))).get_output_port()
+    with pytest.raises(ConfigurationError, match=re.escape(f"{agents} agents in 2 dimensions")):
+        AddLyapunovMonitor(builder, function, state, rates, num_agents=agents)
+
+
+# In diagrams.
+
+
+def logged(diagram, context, name):
+    log = diagram.GetSubsystemByName(name).FindLog(context)
+    return log.sample_times().copy(), log.data().T.copy()
+
+
+def follow(field, starts, duration=3.0, **options):
+    diagram = MakeKinematicDiagram(field, len(starts), log_period=0.02, **options)
+    simulator = MakeSimulator(diagram)
+    context = simulator.get_mutable_context()
+    SetPositions(diagram, context, starts)
+    simulator.AdvanceTo(duration)
+    return diagram, context
+
+
+def test_V_is_logged_along_kinematic_trajectories(circle_field, ring_function):  # noqa: N802
+    starts = np.random.default_rng(3).uniform(-1.5, 1.5, (4, 2))
+    diagram, context = follow(circle_field, starts, lyapunov=ring_function, speed=0.5)
+    times, positions = logged(diagram, context, "positions_log")
+    x = positions.reshape(-1, 2)
+    expected = ring_function(x).reshape(-1, 4)
+    V_times, V = logged(diagram, context, "V_log")
+    np.testing.assert_array_equal(V_times, times)
+    np.testing.assert_array_equal(V, expected)
+    # The rate at speed 0.5, and its integral.
+    _, V_dot = logged(diagram, context, "V_dot_log")
+    along = 0.5 * (ring_function.gradient(x) * circle_field(x)).sum(axis=1)
+    np.testing.assert_allclose(V_dot, along.reshape(-1, 4), rtol=1e-12)
+    change = np.cumsum((V_dot[1:] + V_dot[:-1]) / 2 * np.diff(times)[:, None], axis=0)
+    # The trapezoidal rule is good to a thousandth of what V falls by.
+    np.testing.assert_allclose(change, V[1:] - V[0], atol=1e-3 * V.max())
+
+
+def test_a_monitor_changes_no_kinematic_trajectory(circle_field, ring_function):
+    starts = np.random.default_rng(3).uniform(-1.5, 1.5, (4, 2))
+    plain, context = follow(circle_field, starts)
+    assert not any(plain.HasSubsystemNamed(name) for name in ("lyapunov", "V_log"))
+    watched, other = follow(circle_field, starts, lyapunov=ring_function, level=1.0)
+    np.testing.assert_array_equal(
+        logged(plain, context, "positions_log")[1], logged(watched, other, "positions_log")[1]
+    )
+    assert (
+        watched.GetSubsystemByName("lyapunov").GetLevel(
+            watched.GetSubsystemByName("lyapunov").GetMyContextFromRoot(other)
+        )
+        == 1.0
+    )
+
+
+def fly(field, duration=2.0, **options):
+    diagram = MakeFlightDiagram(field, speed=0.45, **options)
+    simulator = MakeSimulator(diagram)
+    context = simulator.get_mutable_context()
+    SetHover(diagram, context, (1.3, 0.0, 1.0))
+    simulator.AdvanceTo(duration)
+    return diagram, context
+
+
+def test_V_is_logged_in_flight_without_changing_it(circle_field, ring_function):  # noqa: N802
+    plain, context = fly(circle_field)
+    assert not any(
+        plain.HasSubsystemNamed(name) for name in ("lyapunov", "V_log", "state_parts")
+    )
+    watched, other = fly(circle_field, lyapunov=ring_function)
+    times, state = logged(watched, other, "state_log")
+    np.testing.assert_array_equal(state, logged(plain, context, "state_log")[1])
+    V_times, V = logged(watched, other, "V_log")
+    np.testing.assert_array_equal(V_times, times)
+    np.testing.assert_array_equal(V[:, 0], ring_function(state[:, :2]))
+    _, V_dot = logged(watched, other, "V_dot_log")
+    np.testing.assert_allclose(
+        V_dot[:, 0], ring_function.derivative(state[:, :2], state[:, 6:8]), rtol=1e-12
+    )
+
+
+def test_a_spatial_function_watches_the_altitude(spatial_circle_field):
+    points = np.array([[1.0, 0.0, 1.0], [0.0, 1.0, 1.0]])
+    V = LyapunovFunction(GaussianMixture(points, 0.5))
+    diagram, context = fly(spatial_circle_field, 0.5, lyapunov=V)
+    _, state = logged(diagram, context, "state_log")
+    np.testing.assert_array_equal(logged(diagram, context, "V_log")[1][:, 0], V(state[:, :3]))
+
+
+def test_without_a_log_period_nothing_is_logged(circle_field, ring_function):
+    for diagram in (
+        MakeKinematicDiagram(circle_field, lyapunov=ring_function),
+        MakeFlightDiagram(circle_field, log_period=None, lyapunov=ring_function),
+    ):
+        assert diagram.HasSubsystemNamed("lyapunov")
+        assert not diagram.HasSubsystemNamed("V_log")
+
+
+def test_functions_of_another_dimension_are_refused(circle_field):
+    with pytest.raises(ConfigurationError, match="dimension 2 or 3, got 4"):
+        MakeFlightDiagram(circle_field, lyapunov=make_function(4))
+    with pytest.raises(ConfigurationError, match="2 agents in 3 dimensions"):
+        MakeKinematicDiagram(circle_field, 2, lyapunov=make_function(3))
+
+
+def test_a_kinematic_diagram_gives_gradients_of_V_dot(circle_field, ring_function):  # noqa: N802
+    # By the positions, of which the velocities are a function too.
+    diagram = MakeKinematicDiagram(circle_field, 2, lyapunov=ring_function)
+    autodiff = diagram.ToAutoDiffXd()
+    x = np.array([1.2, 0.3, -0.5, 0.6])
+
+    def outputs(system, positions):
+        context = system.CreateDefaultContext()
+        context.SetContinuousState(positions)
+        monitor = system.GetSubsystemByName("lyapunov")
+        own = monitor.GetMyContextFromRoot(context)
+        return np.concatenate(
+            [monitor.GetOutputPort(name).Eval(own) for name in ("V", "V_dot")]
+        )
+
+    column = outputs(autodiff, InitializeAutoDiff(x)[:, 0]).reshape(-1, 1)
+    expected = differences(lambda x: outputs(diagram, x), x)
+    np.testing.assert_allclose(ExtractValue(column).ravel(), outputs(diagram, x), rtol=1e-12)
+    np.testing.assert_allclose(
+        ExtractGradient(column), expected, atol=1e-7 * np.abs(expected).max()
+    )
+
+
+def test_a_flight_diagram_gives_gradients_of_V_dot(circle_field, ring_function):  # noqa: N802
+    diagram = MakeFlightDiagram(circle_field, lyapunov=ring_function)
+    context = diagram.CreateDefaultContext()
+    state = np.array([1.1, 0.2, 0.9, 0.05, -0.02, 0.1, 0.1, 0.4, 0.0, 0.1, 0.0, 0.05])
+    SetVehicleState(diagram, context, state)
+    autodiff = diagram.ToAutoDiffXd()
+    converted = autodiff.CreateDefaultContext()
+    converted.SetContinuousState(InitializeAutoDiff(state)[:, 0])
+    monitor = autodiff.GetSubsystemByName("lyapunov")
+    V_dot = monitor.GetOutputPort("V_dot").Eval(monitor.GetMyContextFromRoot(converted))
+    gradient, H = ring_function.gradient_and_hessian(state[None, :2])
+    expected = np.zeros(12)
+    expected[:2], expected[6:8] = H[0] @ state[6:8], gradient[0]
+    np.testing.assert_allclose(V_dot[0].derivatives(), expected, rtol=1e-12)
