@@ -1,4 +1,4 @@
-"""The command line: ``sgvf train | follow | fly | demo``.
+"""The command line: ``sgvf train | import | follow | fly | demo``.
 
 Commands parse, call the experiments, and print a table; the work is elsewhere.  The heavy
 imports (Drake, torch, matplotlib) happen inside the commands, so that ``sgvf --help`` and
@@ -7,7 +7,8 @@ a mistyped option answer at once.
 
 # The help lists the commands in this order.
 from sgvf_drake.cli import training  # isort: skip
+from sgvf_drake.cli import importing  # isort: skip
 from sgvf_drake.cli import following  # isort: skip
 from sgvf_drake.cli.application import app, main
 
-__all__ = ["app", "following", "main", "training"]
+__all__ = ["app", "following", "importing", "main", "training"]

@@ -44,6 +44,35 @@ def _cleaning(summary: Mapping[str, Any]) -> dict[str, str]:
     return rows
 
 
+def print_import(summary: Mapping[str, Any]) -> None:
+    """Prints the summary of an import."""
+    origin = {
+        "file": "of the file",
+        "score": "as the score shows them",
+        "box": "a square in their place",
+    }
+    rows = {
+        "score": _architecture(summary["score_layers"], summary["score_activation"]),
+        "tangent": _architecture(summary["tangent_layers"], summary["tangent_activation"]),
+        "waypoints": (
+            f"{summary['num_points']} in {summary['dim']}-D, {origin[summary['points']]}"
+        ),
+        "unit length U": f"{summary['unit_length']:.4g}",
+        "noise level": f"{summary['sigma']:.3g} U",
+        "k_s": f"{summary['gain']:.4g}",
+        "length of the field": "one" if summary["normalised"] else "as it comes",
+    }
+    print_table("Import", rows)
+    if summary["points"] == "box":
+        message = "warning: the score shows no path; give its waypoints with --points"
+        errors.print(message, style="bold red")
+
+
+def _architecture(widths: Sequence[int], activation: str) -> str:
+    """Returns a network in short: "3-64-64-2, SiLU"."""
+    return f"{'-'.join(map(str, widths))}, {activation}"
+
+
 def print_following(summary: Mapping[str, Any]) -> None:
     """Prints the summary of following."""
     U = summary["unit_length"]
@@ -122,3 +151,39 @@ def print_table(title: str, rows: Mapping[str, str]) -> None:
 def print_folder(out: Path) -> None:
     """Prints where the results are."""
     console.print(f"results in {out}", markup=False, highlight=False, soft_wrap=True)
+
+
+def print_verification(summary: Mapping[str, Any]) -> None:
+    """Prints the summary of a verification."""
+    U, eps = summary["unit_length"], summary["assumptions"]["a2_cosine"]
+    rows = {
+        "sampled conditions": "hold" if summary["holds"] else "do NOT hold",
+        "because": summary["reason"],
+        "|cos(s, v)|": f"mean {eps['mean']:.3g}, 95 % {eps['q95']:.3g}, max {eps['max']:.3g}",
+        "V decreases on": f"{summary['decrease_fraction']:.1%} of the box",
+    }
+    if summary["c_in"] is not None:
+        rows |= {
+            "sigma of V": f"{summary['sigma'] / U:.3g} U",
+            "band of V": f"{summary['c_in']:.3g} to {summary['c_out']:.3g}",
+            "tube, basin": (
+                f"half-width {summary['tube_half_width'] / U:.3g} U, "
+                f"{summary['area_fraction']:.0%} of the box"
+            ),
+            "tolerated disturbance": f"{summary['e_star_max']:.3g} of the speed",
+        }
+    for name, bound in summary["bounds"].items():
+        rows[f"bound, {name}"] = f"holds on {bound['holds_fraction']:.1%} of the box"
+    if summary["flight"] is not None:
+        rows["velocity error in flight"] = _tracking(summary["flight"])
+    print_table("Verification", rows)
+
+
+def _tracking(flight: Mapping[str, Any]) -> str:
+    if flight["band"] is None:
+        return "V decreases on no band along the field as it is flown"
+    error, tolerated = flight["tracking_error_max_m_s"], flight["tolerated_error_m_s"]
+    if error is None:
+        return "not every flight settled in the tube"
+    verdict = "within" if flight["covered"] else "NOT within"
+    return f"{error:.3g} m/s, {verdict} the {tolerated:.3g} m/s that V tolerates"

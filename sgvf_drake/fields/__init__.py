@@ -1,14 +1,25 @@
 """Guiding fields: evaluated, differentiated and stored in NumPy; never imports torch."""
 
+from sgvf_drake.fields.activation import Activation, find_activation
 from sgvf_drake.fields.base import AdjustableField, Field, FloatArray
-from sgvf_drake.fields.composition import Composition, PaperComposition, RobustComposition
+from sgvf_drake.fields.composition import (
+    PAPER_GAIN,
+    Composition,
+    NormalisedComposition,
+    PaperComposition,
+    RobustComposition,
+)
 from sgvf_drake.fields.guiding import GuidingField, ScoreNetwork
+from sgvf_drake.fields.importing import import_field
 from sgvf_drake.fields.mixture import GaussianMixture
 from sgvf_drake.fields.parts import ScoreField, TangentField
 from sgvf_drake.fields.perceptron import FourierFeatures, Perceptron
+from sgvf_drake.fields.recovery import recover_waypoints
 from sgvf_drake.fields.storage import load_field, save_field
 
 __all__ = [
+    "PAPER_GAIN",
+    "Activation",
     "AdjustableField",
     "Composition",
     "Field",
@@ -16,12 +27,16 @@ __all__ = [
     "FourierFeatures",
     "GaussianMixture",
     "GuidingField",
+    "NormalisedComposition",
     "PaperComposition",
     "Perceptron",
     "RobustComposition",
     "ScoreField",
     "ScoreNetwork",
     "TangentField",
+    "find_activation",
+    "import_field",
     "load_field",
+    "recover_waypoints",
     "save_field",
 ]

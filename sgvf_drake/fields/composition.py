@@ -10,8 +10,12 @@ import numpy as np
 
 from sgvf_drake.fields.base import FloatArray
 
+# k_s of the paper's simulations (Section V-A).
+PAPER_GAIN = 0.2
 # |N| at which the smooth unit vector N / sqrt(|N|^2 + delta^2) starts to shrink.
 DIRECTION_SOFTENING = 0.05
+# The same for m where it is normalised: |m| is 1 to 1e-6 wherever |s + v| is above 1e-3.
+UNIT_SOFTENING = 1e-6
 # The score's part along the tangent is removed within this many noise levels of the path...
 PROJECTION_RANGE = 3.0
 # ... and given back outside, with this (even) power of the distance.
@@ -77,6 +81,36 @@ class PaperComposition(Composition):
 
 
 @dataclass(frozen=True)
+class NormalisedComposition(Composition):
+    """m = n / sqrt(|n|^2 + delta^2), the direction of the paper's sum n = s + v.
+
+    delta is tiny, and keeps m finite and smooth where s and v cancel.
+    """
+
+    def tangent(self, N: FloatArray) -> FloatArray:
+        return N
+
+    def tangent_and_partial(self, N: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return N, _identity(N)
+
+    def components(self, S: FloatArray, N: FloatArray) -> tuple[FloatArray, FloatArray]:
+        s, v = self._sum.components(S, N)
+        norm = _softened_norm(s + v, UNIT_SOFTENING)[:, None]
+        return s / norm, v / norm
+
+    def value_and_partials(
+        self, S: FloatArray, N: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        n, dn_dS, dn_dN = self._sum.value_and_partials(S, N)
+        m, dm_dn = _direction_and_partial(n, UNIT_SOFTENING)
+        return m, dm_dn @ dn_dS, dm_dn @ dn_dN
+
+    @property
+    def _sum(self) -> PaperComposition:
+        return PaperComposition(self.gain)
+
+
+@dataclass(frozen=True)
 class RobustComposition(Composition):
     """m = tanh(k_s |S'|) S'/|S'| + sech(k_s |S'|) v, smooth everywhere and |m| ~ 1.
 
@@ -102,11 +136,10 @@ class RobustComposition(Composition):
     tangent_share: float = 1.0
 
     def tangent(self, N: FloatArray) -> FloatArray:
-        return N / _softened_norm(N)[:, None]
+        return N / _softened_norm(N, DIRECTION_SOFTENING)[:, None]
 
     def tangent_and_partial(self, N: FloatArray) -> tuple[FloatArray, FloatArray]:
-        norm = _softened_norm(N)[:, None, None]
-        return N / norm[:, :, 0], np.eye(N.shape[1]) / norm - _outer(N, N) / norm**3
+        return _direction_and_partial(N, DIRECTION_SOFTENING)
 
     def components(self, S: FloatArray, N: FloatArray) -> tuple[FloatArray, FloatArray]:
         v = self.tangent(N)
@@ -160,8 +193,13 @@ def _outer(a: FloatArray, b: FloatArray) -> FloatArray:
     return a[:, :, None] * b[:, None, :]
 
 
-def _softened_norm(N: FloatArray) -> FloatArray:
-    return np.sqrt(_dot(N, N) + DIRECTION_SOFTENING**2)
+def _softened_norm(a: FloatArray, softening: float) -> FloatArray:
+    return np.sqrt(_dot(a, a) + softening**2)
+
+
+def _direction_and_partial(a: FloatArray, softening: float) -> tuple[FloatArray, FloatArray]:
+    norm = _softened_norm(a, softening)[:, None, None]
+    return a / norm[:, :, 0], np.eye(a.shape[1]) / norm - _outer(a, a) / norm**3
 
 
 def _squash_factors(gain: float, square: FloatArray) -> tuple[FloatArray, FloatArray]:

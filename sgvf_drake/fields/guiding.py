@@ -11,7 +11,7 @@ import numpy as np
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields.analytic import AnalyticField
 from sgvf_drake.fields.base import FloatArray
-from sgvf_drake.fields.composition import Composition, RobustComposition
+from sgvf_drake.fields.composition import PAPER_GAIN, Composition, RobustComposition
 from sgvf_drake.fields.mixture import GaussianMixture
 from sgvf_drake.fields.perceptron import Perceptron
 from sgvf_drake.fields.rest import Rest
@@ -59,7 +59,7 @@ class GuidingField(AnalyticField):
         score_model: The raw score S, a network or the exact mixture.
         tangent_network: The network N of the tangent field, d inputs and d outputs.
         composition: How S and N make m.
-        recipe: `paper`, `robust` or `exact`.
+        recipe: `paper`, `robust` or `exact`; `imported` where it was trained elsewhere.
         seed: The seed of the training run.
         support: The points whose mixture the score is that of, (M, d) in the user's unit;
             None: the waypoints themselves.
@@ -78,6 +78,34 @@ class GuidingField(AnalyticField):
     support: FloatArray | None = None
     end_points: FloatArray | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def from_torch(
+        cls,
+        score: Any,
+        tangent: Any,
+        cloud: PointCloud,
+        *,
+        gain: float = PAPER_GAIN,
+        normalise: bool = False,
+    ) -> "GuidingField":
+        """Returns the field m = s + v of networks that were trained elsewhere.
+
+        Args:
+            score: A torch module of Linear layers with one activation in between, of the
+                position and the time, (x, t), in the unit of the waypoints; it gives the
+                score S at t = 1.
+            tangent: The same of x alone; it gives v.
+            cloud: The waypoints.
+            gain: k_s of s = tanh(k_s |S|) S / |S|, with S as the network gives it.
+            normalise: Whether m is brought to length one.
+
+        Raises:
+            ConfigurationError: A module is anything else; the message names the layer.
+        """
+        from sgvf_drake.fields.modules import field_from_modules
+
+        return field_from_modules(score, tangent, cloud, gain=gain, normalise=normalise)
 
     @property
     def mixture(self) -> GaussianMixture:

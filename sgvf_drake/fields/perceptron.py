@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sgvf_drake.fields.activation import SILU, Activation
 from sgvf_drake.fields.base import FloatArray
 
 
@@ -38,17 +39,19 @@ class FourierFeatures:
 
 @dataclass(frozen=True, eq=False)
 class Perceptron:
-    """A SiLU network z -> W_L silu(... silu(W_1 features(z) + b_1)) + b_L.
+    """A network z -> W_L h(... h(W_1 features(z) + b_1)) + b_L with an activation h.
 
     Attributes:
         weights: W_l of shape (outputs, inputs), first layer first.
         biases: b_l of shape (outputs,).
         features: What the first layer sees; None: z itself.
+        activation: h, the same after every layer but the last.
     """
 
     weights: tuple[FloatArray, ...]
     biases: tuple[FloatArray, ...]
     features: FourierFeatures | None = None
+    activation: Activation = SILU
 
     @property
     def num_inputs(self) -> int:
@@ -60,8 +63,7 @@ class Perceptron:
         """Evaluates the network: (n, inputs) -> (n, outputs)."""
         hidden = z if self.features is None else self.features(z)
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
-            hidden = hidden @ weight.T + bias
-            hidden = hidden * _sigmoid(hidden)
+            hidden = self.activation.value(hidden @ weight.T + bias)
         return hidden @ self.weights[-1].T + self.biases[-1]
 
     def value_and_jacobian(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -78,10 +80,7 @@ class Perceptron:
             jet = self.features.jet(z)
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
             jet = jet @ weight.T
-            before = jet[:, 0] + bias
-            gate = _sigmoid(before)
-            value = before * gate
-            slope = gate + value * (1 - gate)
+            value, slope = self.activation.value_and_slope(jet[:, 0] + bias)
             jet *= slope[:, None, :]
             jet[:, 0] = value
         jet = jet @ self.weights[-1].T
@@ -97,8 +96,3 @@ class Perceptron:
         frequencies = self.features.frequencies
         phases = self.features.phases + frequencies[:, -1] * value
         return replace(self, features=FourierFeatures(frequencies[:, :-1], phases))
-
-
-def _sigmoid(z: FloatArray) -> FloatArray:
-    # By tanh, which cannot overflow, is fast on batches, and takes complex numbers too.
-    return 0.5 + 0.5 * np.tanh(0.5 * z)

@@ -1,8 +1,8 @@
 """Fields on disk: one safetensors file, read without pickle and without torch.
 
 The tensors are the weights and the waypoints; the header holds one JSON document with the
-recipe, the seed, the noise level, the normalisation, the composition and the digest of the
-cloud.  A file whose parts do not agree is refused.
+recipe, the seed, the noise level, the normalisation, the composition, the activations and the
+digest of the cloud.  A file whose parts do not agree is refused.
 """
 
 from collections.abc import Mapping
@@ -17,8 +17,14 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from sgvf_drake.exceptions import FieldFileError, OutputExistsError
+from sgvf_drake.fields.activation import SILU, find_activation
 from sgvf_drake.fields.base import FloatArray
-from sgvf_drake.fields.composition import Composition, PaperComposition, RobustComposition
+from sgvf_drake.fields.composition import (
+    Composition,
+    NormalisedComposition,
+    PaperComposition,
+    RobustComposition,
+)
 from sgvf_drake.fields.guiding import GuidingField, ScoreNetwork
 from sgvf_drake.fields.mixture import GaussianMixture
 from sgvf_drake.fields.perceptron import FourierFeatures, Perceptron
@@ -27,7 +33,15 @@ from sgvf_drake.paths import PointCloud
 # The only entry of the metadata, which safetensors writes in random order: with one, equal
 # fields are equal files.
 HEADER_KEY = "sgvf_drake.field"
-VERSION = 1
+VERSION = 2
+# Version 1 had neither activations, as every network was one of SiLU, nor normalised fields.
+READABLE_VERSIONS = (1, VERSION)
+OF_VERSION_1 = {"score_activation": SILU.name, "tangent_activation": SILU.name}
+COMPOSITIONS: dict[type[Composition], str] = {
+    RobustComposition: "robust",
+    PaperComposition: "paper",
+    NormalisedComposition: "normalised",
+}
 POINTS_KEY = "cloud.points"
 SUPPORT_KEY = "support.points"
 ENDS_KEY = "ends.points"
@@ -104,16 +118,17 @@ def load_field(path: str | os.PathLike[str]) -> GuidingField:
 
 
 def _header(field: GuidingField) -> dict[str, Any]:
-    score = field.score_model
-    composition = field.composition
+    network = field.score_model if isinstance(field.score_model, ScoreNetwork) else None
     return {
         "version": VERSION,
         "recipe": field.recipe,
         "seed": field.seed,
         "sigma": field.sigma,
-        "composition": "robust" if isinstance(composition, RobustComposition) else "paper",
-        "gain": composition.gain,
-        "score_scale": score.scale if isinstance(score, ScoreNetwork) else None,
+        "composition": COMPOSITIONS[type(field.composition)],
+        "gain": field.composition.gain,
+        "score_scale": network.scale if network else None,
+        "score_activation": network.network.activation.name if network else None,
+        "tangent_activation": field.tangent_network.activation.name,
         "shape": field.cloud.shape,
         "digest": field.cloud.digest,
         "center": field.cloud.center.tolist(),
@@ -125,8 +140,11 @@ def _header(field: GuidingField) -> dict[str, Any]:
 def _field(header: Any, tensors: Tensors) -> GuidingField:
     if not isinstance(header, dict):
         raise ValueError("the header is not a JSON object")
-    if header["version"] != VERSION:
-        raise ValueError(f"version {header['version']} of the format; this reads {VERSION}")
+    if header["version"] not in READABLE_VERSIONS:
+        readable = " and ".join(map(str, READABLE_VERSIONS))
+        raise ValueError(f"version {header['version']} of the format; this reads {readable}")
+    if header["version"] == 1:
+        header = header | OF_VERSION_1
     cloud = PointCloud(tensors[POINTS_KEY], _checked(header, "shape", str, type(None)))
     if cloud.digest != header["digest"]:
         raise ValueError("the waypoints are not those of the header's digest")
@@ -143,7 +161,7 @@ def _field(header: Any, tensors: Tensors) -> GuidingField:
         support=tensors.get(SUPPORT_KEY),
         end_points=tensors.get(ENDS_KEY),
         score_model=_score_model(header, tensors, cloud, sigma),
-        tangent_network=_unpack("tangent", tensors, cloud.dim, cloud.dim),
+        tangent_network=_network("tangent", header, tensors, cloud.dim, cloud.dim),
         composition=_composition(header, sigma),
         recipe=_checked(header, "recipe", str),
         seed=_checked(header, "seed", int),
@@ -170,6 +188,8 @@ def _composition(header: Mapping[str, Any], sigma: float) -> Composition:
             return RobustComposition(_positive(header, "gain"), sigma)
         case "paper":
             return PaperComposition(_positive(header, "gain"))
+        case "normalised":
+            return NormalisedComposition(_positive(header, "gain"))
         case other:
             raise ValueError(f"unknown composition {other!r}")
 
@@ -179,7 +199,7 @@ def _score_model(
 ) -> ScoreNetwork | GaussianMixture:
     if header["score_scale"] is None:
         return GaussianMixture(cloud.normalize(tensors.get(SUPPORT_KEY, cloud.points)), sigma)
-    network = _unpack("score", tensors, cloud.dim + 1, cloud.dim)
+    network = _network("score", header, tensors, cloud.dim + 1, cloud.dim)
     return ScoreNetwork(network, _positive(header, "score_scale"))
 
 
@@ -194,7 +214,10 @@ def _pack(prefix: str, network: Perceptron) -> Tensors:
     return tensors
 
 
-def _unpack(prefix: str, tensors: Tensors, inputs: int, outputs: int) -> Perceptron:
+def _network(
+    prefix: str, header: Mapping[str, Any], tensors: Tensors, inputs: int, outputs: int
+) -> Perceptron:
+    activation = find_activation(_checked(header, f"{prefix}_activation", str))
     layers = sum(key.startswith(f"{prefix}.") for key in tensors if key.endswith(".weight"))
     weights = tuple(tensors[f"{prefix}.{layer}.weight"] for layer in range(max(layers, 1)))
     biases = tuple(tensors[f"{prefix}.{layer}.bias"] for layer in range(max(layers, 1)))
@@ -210,7 +233,7 @@ def _unpack(prefix: str, tensors: Tensors, inputs: int, outputs: int) -> Percept
     for layer, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
         _check_shape(f"{prefix}.{layer}.weight", weight, (widths[layer + 1], widths[layer]))
         _check_shape(f"{prefix}.{layer}.bias", bias, (widths[layer + 1],))
-    return Perceptron(weights, biases, features)
+    return Perceptron(weights, biases, features, activation)
 
 
 def _check_shape(key: str, tensor: FloatArray, shape: tuple[int, ...]) -> None:

@@ -4,10 +4,19 @@ import numpy as np
 import pytest
 from scipy.stats import ortho_group
 
-from sgvf_drake.fields import PaperComposition, RobustComposition, composition
+from sgvf_drake.fields import (
+    NormalisedComposition,
+    PaperComposition,
+    RobustComposition,
+    composition,
+)
 
 SIGMA = 0.1
 PAPER, ROBUST = PaperComposition(0.2), RobustComposition(0.2, SIGMA)
+NORMALISED = NormalisedComposition(0.2)
+EACH = pytest.mark.parametrize(
+    "compose", [PAPER, ROBUST, NORMALISED], ids=["paper", "robust", "normalised"]
+)
 BOTH = pytest.mark.parametrize("compose", [PAPER, ROBUST], ids=["paper", "robust"])
 
 
@@ -32,7 +41,7 @@ def step_partials(compose, S, N):
     return np.stack(by_S, axis=2), np.stack(by_N, axis=2)
 
 
-@BOTH
+@EACH
 @pytest.mark.parametrize("dim", [2, 3])
 def test_partials_are_finite_differences(compose, dim):
     S, N = arguments(dim)
@@ -44,7 +53,7 @@ def test_partials_are_finite_differences(compose, dim):
     np.testing.assert_allclose(by_N, numeric_N, atol=2e-8)
 
 
-@BOTH
+@EACH
 @pytest.mark.parametrize("score_size", [0.0, 1e-13, 1e-9, 1e-3, 1.0, 30.0, 1e3, 1e6])
 @pytest.mark.parametrize("tangent_size", [0.0, 1e-9, 1.0, 1e6])
 def test_partials_at_every_magnitude(compose, score_size, tangent_size):
@@ -124,6 +133,37 @@ def test_paper_adds_without_renormalising():
     np.testing.assert_array_equal(PAPER.tangent(N), N)
 
 
+def test_normalised_is_the_direction_of_the_papers_sum():
+    S, N = arguments()
+    n = PAPER.value(S, N)
+    size = np.linalg.norm(n, axis=1, keepdims=True)
+    assert size.min() > 1e-3
+    # delta^2 / (2 |n|^2), with delta of 1e-6.
+    np.testing.assert_allclose(NORMALISED.value(S, N), n / size, rtol=5e-7)
+    np.testing.assert_allclose(np.linalg.norm(NORMALISED.value(S, N), axis=1), 1, rtol=5e-7)
+    np.testing.assert_array_equal(NORMALISED.tangent(N), N)
+
+
+def test_normalising_scales_both_parts_by_the_same_factor():
+    S, N = arguments()
+    s, v = NORMALISED.components(S, N)
+    paper_s, paper_v = PAPER.components(S, N)
+    factor = np.linalg.norm(paper_s + paper_v, axis=1, keepdims=True)
+    np.testing.assert_allclose(s, paper_s / factor, rtol=1e-6)
+    np.testing.assert_allclose(v, paper_v / factor, rtol=1e-6)
+    np.testing.assert_allclose(NORMALISED.value_and_partials(S, N)[0], s + v, rtol=1e-14)
+
+
+def test_where_score_and_tangent_cancel_the_normalised_field_is_zero_and_smooth():
+    S, _ = arguments()
+    s, _ = PAPER.components(S, S)
+    m, by_S, by_N = NORMALISED.value_and_partials(S, -s)
+    np.testing.assert_array_equal(m, 0)
+    assert np.isfinite(by_S).all()
+    # There the direction turns over a length of delta.
+    np.testing.assert_allclose(by_N, np.broadcast_to(1e6 * np.eye(2), by_N.shape), rtol=1e-12)
+
+
 def test_tangent_is_a_unit_vector_that_shrinks_smoothly_at_zero():
     sizes = np.array([0.0, 1e-6, 0.05, 1.0, 1e9])
     N = sizes[:, None] * np.array([0.6, -0.8])
@@ -131,7 +171,7 @@ def test_tangent_is_a_unit_vector_that_shrinks_smoothly_at_zero():
     np.testing.assert_allclose(np.linalg.norm(ROBUST.tangent(N), axis=1), expected, rtol=1e-14)
 
 
-@BOTH
+@EACH
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(
     seed=st.integers(0, 2**32 - 1),
@@ -151,7 +191,7 @@ def test_the_composition_has_no_preferred_direction(compose, seed, dim, size, n)
     np.testing.assert_allclose(turned_by_S, Q @ by_S @ Q.T, atol=1e-11)
 
 
-@BOTH
+@EACH
 def test_second_derivatives_by_complex_step_are_those_of_the_partials(compose):
     S, N = arguments()
     for e in np.eye(2):

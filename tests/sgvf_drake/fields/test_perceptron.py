@@ -1,7 +1,11 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
+from torch import nn
 
+from sgvf_drake.fields.activation import ACTIVATIONS
 from sgvf_drake.learning.networks import POSITION_SCALE, Network
 
 # Plain as in the paper, with Fourier features, and with features and time.
@@ -122,6 +126,48 @@ def test_silu_saturates_to_zero_and_identity(make_perceptron):
     before = x @ first.T + bias
     expected = np.where(before > 0, before, 0) @ last.T + end
     np.testing.assert_allclose(perceptron(x), expected, rtol=1e-15)
+
+
+@pytest.mark.parametrize("activation", ACTIVATIONS, ids=lambda activation: activation.name)
+def test_other_activations_are_those_of_torch(make_perceptron, activation):
+    """Value, Jacobian and, by a complex step, the second derivatives."""
+    rng = np.random.default_rng(5)
+    perceptron = replace(make_perceptron(rng, 2, (9, 8), 3), activation=activation)
+    z = rng.uniform(-3, 3, (20, 2))
+
+    def evaluate(x):
+        layers = zip(perceptron.weights, perceptron.biases, strict=True)
+        for number, (weight, bias) in enumerate(layers):
+            x = x if number == 0 else getattr(nn, activation.name)()(x)
+            x = nn.functional.linear(x, torch.as_tensor(weight), torch.as_tensor(bias))
+        return x
+
+    value, jacobian = perceptron.value_and_jacobian(z)
+    np.testing.assert_array_equal(perceptron(z), value)
+    np.testing.assert_allclose(value, evaluate(torch.as_tensor(z)), rtol=1e-13, atol=1e-13)
+    for point, J in zip(z, jacobian, strict=True):
+        expected = torch.autograd.functional.jacobian(evaluate, torch.as_tensor(point))
+        np.testing.assert_allclose(J, expected, rtol=1e-12, atol=1e-13)
+    steps = [perceptron.value_and_jacobian(z + 1e-30j * axis)[1].imag for axis in np.eye(2)]
+    second = np.stack(steps, axis=-1) / 1e-30
+    for point, H in zip(z, second, strict=True):
+        for output in range(3):
+            expected = torch.autograd.functional.hessian(
+                lambda x, output=output: evaluate(x)[output], torch.as_tensor(point)
+            )
+            np.testing.assert_allclose(H[output], expected, rtol=1e-11, atol=1e-12)
+
+
+@pytest.mark.parametrize("activation", ACTIVATIONS, ids=lambda activation: activation.name)
+@pytest.mark.parametrize("magnitude", [1e3, 1e100, 1e150])
+def test_no_activation_overflows(make_perceptron, activation, magnitude):
+    perceptron = make_perceptron(np.random.default_rng(5), 2, (9, 8), 3)
+    perceptron = replace(perceptron, activation=activation)
+    z = magnitude * np.random.default_rng(6).uniform(-3, 3, (20, 2))
+    for inputs in (z, z + 1e-30j):
+        value, jacobian = perceptron.value_and_jacobian(inputs)
+        assert np.isfinite(value).all()
+        assert np.isfinite(jacobian).all()
 
 
 def test_no_points_to_evaluate(network):

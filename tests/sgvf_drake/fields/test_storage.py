@@ -1,3 +1,4 @@
+from dataclasses import replace
 import json
 import os
 import pickle
@@ -11,7 +12,14 @@ from safetensors.numpy import load, save
 import torch
 
 from sgvf_drake.exceptions import FieldFileError, OutputExistsError
-from sgvf_drake.fields import GaussianMixture, PaperComposition, load_field, save_field
+from sgvf_drake.fields import (
+    GaussianMixture,
+    NormalisedComposition,
+    PaperComposition,
+    load_field,
+    save_field,
+)
+from sgvf_drake.fields.activation import ACTIVATIONS
 
 # The one entry of the metadata, part of the format.
 HEADER_KEY = "sgvf_drake.field"
@@ -136,6 +144,45 @@ def test_no_ends_are_fine_but_a_support_of_no_points_is_not(make_field, tmp_path
         load_field(path)
 
 
+@pytest.mark.parametrize("activation", ACTIVATIONS, ids=lambda activation: activation.name)
+def test_activations_are_kept_each_with_its_network(make_field, tmp_path, activation):
+    field = make_field("paper")
+    tangent = replace(field.tangent_network, activation=activation)
+    field = replace(field, tangent_network=tangent)
+    field.save(tmp_path / "field")
+    loaded = load_field(tmp_path / "field")
+    assert loaded.tangent_network.activation is activation
+    assert loaded.score_model.network.activation.name == "SiLU"
+    x = np.random.default_rng(0).uniform(-2, 8, (20, 2))
+    np.testing.assert_array_equal(loaded.hessian(x), field.hessian(x))
+    loaded.save(tmp_path / "again")
+    assert (tmp_path / "again").read_bytes() == (tmp_path / "field").read_bytes()
+
+
+def test_a_normalised_field_stays_one(make_field, tmp_path):
+    field = replace(make_field("paper"), composition=NormalisedComposition(0.3))
+    field.save(tmp_path / "field")
+    loaded = load_field(tmp_path / "field")
+    assert loaded.composition == NormalisedComposition(0.3)
+    x = np.random.default_rng(0).uniform(-2, 8, (20, 2))
+    np.testing.assert_array_equal(loaded(x), field(x))
+
+
+def test_files_of_version_1_are_read(field, tmp_path):
+    """They had no activations, and every network was one of SiLU."""
+    path = tmp_path / "field.safetensors"
+    field.save(path)
+    new = path.read_bytes()
+    old = rewrite(new, {"version": 1}, drop=["score_activation", "tangent_activation"])
+    path.write_bytes(old)
+    loaded = load_field(path)
+    x = np.random.default_rng(0).uniform(-2, 8, (20, 2))
+    np.testing.assert_array_equal(loaded.hessian(x), field.hessian(x))
+    # Written anew, it is of this version.
+    loaded.save(path, overwrite=True)
+    assert path.read_bytes() == new
+
+
 def test_equal_fields_are_equal_files(field, tmp_path):
     first, second = tmp_path / "first", tmp_path / "second"
     field.save(first)
@@ -149,13 +196,15 @@ def test_the_header_tells_how_it_was_made(field, tmp_path):
     header = read_header(path.read_bytes())
     cloud = field.cloud
     assert header == {
-        "version": 1,
+        "version": 2,
         "recipe": field.recipe,
         "seed": 0,
         "sigma": 0.4,
         "composition": "paper" if field.recipe == "paper" else "robust",
         "gain": 0.8,
         "score_scale": {"robust": 0.4, "exact": None, "paper": 1.0}[field.recipe],
+        "score_activation": None if field.recipe == "exact" else "SiLU",
+        "tangent_activation": "SiLU",
         "shape": "random",
         "digest": cloud.digest,
         "center": cloud.center.tolist(),
@@ -311,7 +360,8 @@ def test_foreign_safetensors_are_refused(tmp_path, tensor, metadata):
 @pytest.mark.parametrize(
     ("header", "match"),
     [
-        ({"version": 2}, "version 2 of the format; this reads 1"),
+        ({"version": 3}, "version 3 of the format; this reads 1 and 2"),
+        ({"version": [1]}, r"version \[1\] of the format"),
         ({"version": None}, "version None of the format"),
         ({"digest": "0" * 64}, "not those of the header's digest"),
         ({"digest": None}, "not those of the header's digest"),
@@ -328,6 +378,9 @@ def test_foreign_safetensors_are_refused(tmp_path, tensor, metadata):
         ({"gain": 10**400}, "too large"),
         ({"score_scale": 0.0}, "score_scale cannot be 0"),
         ({"score_scale": [1]}, r"score_scale cannot be \[1\]"),
+        ({"score_activation": "Mish"}, "unknown activation 'Mish'"),
+        ({"tangent_activation": "cos"}, "unknown activation 'cos'"),
+        ({"tangent_activation": None}, "tangent_activation cannot be None"),
         ({"seed": "zero"}, "seed cannot be 'zero'"),
         ({"recipe": 3}, "recipe cannot be 3"),
         ({"shape": ["star"]}, r"shape cannot be \['star'\]"),
@@ -367,6 +420,7 @@ def test_a_header_that_is_no_json_object_is_refused(tmp_path, whole, text, match
         *("version", "recipe", "seed", "sigma", "composition", "gain", "score_scale", "shape"),
         *("digest", "center", "unit_length", "provenance", "cloud.points", "tangent.0.weight"),
         *("tangent.1.bias", "score.0.weight", "score.2.bias", "tangent.phases"),
+        *("score_activation", "tangent_activation"),
     ],
 )
 def test_a_missing_entry_is_named(tmp_path, whole, key):

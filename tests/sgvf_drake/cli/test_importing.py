@@ -1,0 +1,201 @@
+"""The command `import`: what it leaves, what it prints, and what it says to bad input."""
+
+import json
+import os
+from pathlib import Path
+import re
+
+import numpy as np
+import pytest
+import torch
+
+from sgvf_drake import load_field
+from sgvf_drake.cli import main
+
+FILES = {"summary.json", "field.safetensors", "field.png"}
+
+
+def run(*arguments):
+    """Runs a command in this process; returns its exit status."""
+    with pytest.raises(SystemExit) as end:
+        main([str(argument) for argument in arguments])
+    return end.value.code or 0
+
+
+def names_in(folder):
+    return {path.name for path in Path(folder).iterdir()}
+
+
+class Trap:
+    """Unpickling it leaves a trace."""
+
+    def __reduce__(self):
+        return os.mkdir, ("sprung",)
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory, ring_networks, make_sequential):
+    """Networks that lap a ring, others that cannot be used, and waypoints."""
+    folder = tmp_path_factory.mktemp("inputs")
+    score, tangent = ring_networks
+    ring = {"state_dict": score.state_dict(), "hiddens": [200], "activation": "Tanh"}
+    contents = {
+        "score.pth": ring,
+        "tangent.pth": {f"net.{key}": tensor for key, tensor in tangent.state_dict().items()},
+        "untrained.pth": make_sequential([3, 8, 2]).state_dict(),
+        "spatial_score.pth": make_sequential([4, 8, 3]).state_dict(),
+        "spatial_tangent.pth": make_sequential([3, 8, 3]).state_dict(),
+        "wrong_width.pth": {**ring, "hiddens": [64]},
+        "mish.pth": {**ring, "activation": "Mish"},
+        "nan.pth": {"0.weight": torch.full((2, 3), torch.nan), "0.bias": torch.zeros(2)},
+        "no_bias.pth": {"net.0.weight": torch.zeros(2, 3)},
+        "norm.pth": make_sequential([3, 2]).state_dict() | {"1.weight": torch.ones(2)},
+        "tensor.pth": torch.zeros(3),
+        "trap.pth": Trap(),
+    }
+    for name, content in contents.items():
+        torch.save(content, folder / name)
+    whole = (folder / "score.pth").read_bytes()
+    (folder / "short.pth").write_bytes(whole[: len(whole) // 2])
+    (folder / "text.pth").write_text("x,y\n1,2\n")
+    angle = 2 * np.pi * np.arange(100) / 100
+    points = 3 * np.column_stack([np.cos(angle), np.sin(angle)])
+    np.savetxt(folder / "ring.csv", points, delimiter=",", header="x,y", comments="")
+    np.savetxt(folder / "spatial.txt", np.eye(3))
+    (folder / "taken").mkdir()
+    (folder / "taken" / "field.safetensors").write_text("mine")
+    return folder
+
+
+@pytest.fixture
+def command(inputs):
+    """Runs the command on files of the inputs: (score, tangent, *more) -> status."""
+
+    def call(score, tangent, *more):
+        networks = ("--score", inputs / score, "--tangent", inputs / tangent)
+        return run("import", *networks, *more)
+
+    return call
+
+
+def test_import(command, tmp_path, capsys, ring_networks, largest_difference):
+    out = tmp_path / "out"
+    assert command("score.pth", "tangent.pth", "--out", out) == 0
+    assert names_in(out) == FILES
+    summary = json.loads((out / "summary.json").read_text())
+    assert (summary["recipe"], summary["points"]) == ("imported", "score")
+    assert (summary["gain"], summary["normalised"]) == (0.2, False)
+    assert largest_difference(load_field(out / "field.safetensors"), *ring_networks) < 1e-6
+    shown = capsys.readouterr()
+    assert shown.err == ""
+    assert "score │ 3-200-2, Tanh" in re.sub(" +", " ", shown.out)
+    assert "as the score shows them" in shown.out
+    assert shown.out.endswith(f"results in {out}\n")
+
+
+@pytest.mark.parametrize("option", ["--k-s", "--gain"])
+def test_options(command, inputs, tmp_path, option, ring_networks, largest_difference):
+    more = ("--points", inputs / "ring.csv", "--columns", "x, y", option, 0.7, "--normalise")
+    assert command("score.pth", "tangent.pth", *more, "--out", tmp_path) == 0
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert (summary["points"], summary["num_points"]) == ("file", 100)
+    assert (summary["gain"], summary["normalised"]) == (0.7, True)
+    field = load_field(tmp_path / "field.safetensors")
+    assert largest_difference(field, *ring_networks, gain=0.7, normalise=True) < 1e-6
+
+
+def test_the_field_can_be_followed(command, tmp_path):
+    assert command("score.pth", "tangent.pth", "--out", tmp_path / "ring") == 0
+    follow = ("follow", tmp_path / "ring", "--starts", 4, "--out", tmp_path / "follow")
+    assert run(*follow) == 0
+    summary = json.loads((tmp_path / "follow" / "summary.json").read_text())
+    assert summary["lap_fraction"] == 1.0
+    assert summary["recipe"] == "imported"
+
+
+def test_waypoints_that_are_not_seen_are_asked_for(command, tmp_path, capsys):
+    assert command("untrained.pth", "tangent.pth", "--out", tmp_path) == 0
+    shown = capsys.readouterr()
+    assert "a square in their place" in shown.out
+    assert shown.err == "warning: the score shows no path; give its waypoints with --points\n"
+
+
+def test_results_are_replaced_only_when_asked(command, inputs, tmp_path, capsys):
+    taken = inputs / "taken"
+    assert command("score.pth", "tangent.pth", "--out", taken) == 2
+    assert "taken already holds field.safetensors" in capsys.readouterr().err
+    assert names_in(taken) == {"field.safetensors"}
+    assert (taken / "field.safetensors").read_text() == "mine"
+    out = tmp_path / "out"
+    networks = ("score.pth", "tangent.pth", "--points", inputs / "ring.csv", "--out", out)
+    assert command(*networks) == 0
+    assert command(*networks, "--k-s", 0.4) == 2
+    assert command(*networks, "--k-s", 0.4, "--overwrite") == 0
+    assert json.loads((out / "summary.json").read_text())["gain"] == 0.4
+
+
+BAD = {
+    "missing": (["absent.pth", "tangent.pth"], ["absent.pth: no such file"]),
+    "missing tangent": (["score.pth", "absent.pth"], ["absent.pth: no such file"]),
+    "folder": (["taken", "tangent.pth"], ["taken: is a folder"]),
+    "truncated": (["short.pth", "tangent.pth"], ["short.pth", "not a whole file"]),
+    "text": (["text.pth", "tangent.pth"], ["text.pth", "not a whole file"]),
+    "pickle": (["trap.pth", "tangent.pth"], ["trap.pth", "nothing else is unpickled"]),
+    "no dict": (["tensor.pth", "tangent.pth"], ["tensor.pth", "not Tensor"]),
+    "missing key": (["no_bias.pth", "tangent.pth"], ["no_bias.pth: net.0.bias is missing"]),
+    "norm": (["norm.pth", "tangent.pth"], ["norm.pth: 1.bias is missing"]),
+    "NaN": (["nan.pth", "tangent.pth"], ["nan.pth: 0.weight is not all finite"]),
+    "activation": (["mish.pth", "tangent.pth"], ["mish.pth", "'Mish'", "SiLU, Tanh"]),
+    "widths": (["wrong_width.pth", "tangent.pth"], ["hiddens is [64]", "[200]"]),
+    "swapped": (["tangent.pth", "score.pth"], ["tangent.pth: a score network", "2 and 2"]),
+    "twice": (["score.pth", "score.pth"], ["score.pth: a tangent network", "3 and 2"]),
+    "no points": (
+        ["spatial_score.pth", "spatial_tangent.pth"],
+        ["3 dimensions", "--points"],
+    ),
+    "dimensions": (
+        ["score.pth", "tangent.pth", "--points", "{inputs}/spatial.txt"],
+        ["spatial.txt", "3 coordinates", "score network 2"],
+    ),
+    "missing points": (
+        ["score.pth", "tangent.pth", "--points", "none.csv"],
+        ["none.csv: there is no such file"],
+    ),
+    "columns of nothing": (
+        ["score.pth", "tangent.pth", "--columns", "x,y"],
+        ["--columns x,y", "--points"],
+    ),
+    "zero k_s": (["score.pth", "tangent.pth", "--k-s", "0"], ["k_s", "0.0"]),
+    "NaN k_s": (["score.pth", "tangent.pth", "--k-s", "nan"], ["k_s", "nan"]),
+}
+
+
+@pytest.mark.parametrize(("arguments", "expected"), BAD.values(), ids=BAD)
+def test_bad_input(command, inputs, tmp_path, monkeypatch, capsys, arguments, expected):
+    monkeypatch.chdir(tmp_path)
+    filled = [argument.format(inputs=inputs) for argument in arguments]
+    assert command(*filled, "--out", tmp_path / "deep" / "out") == 2
+    shown = capsys.readouterr()
+    assert shown.err.count("\n") == 1, shown.err
+    assert shown.err.startswith("error: ")
+    for text in expected:
+        assert text in shown.err
+    assert shown.out == ""
+    # Neither results, nor the trace of a pickle that was executed.
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("missing", ["--score", "--tangent", "--out"])
+def test_what_has_to_be_given(missing, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    given = {"--score": "a.pth", "--tangent": "b.pth", "--out": "out"}
+    del given[missing]
+    assert run("import", *(word for pair in given.items() for word in pair)) == 2
+    assert missing in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_help_lists_it_after_training(capsys):
+    assert run("--help") == 0
+    listed = re.findall(r"│ (\w+) ", capsys.readouterr().out)
+    assert listed.index("train") < listed.index("import") < listed.index("follow")
