@@ -7,9 +7,10 @@
     field.save("field.safetensors")
 
 Loading and evaluating a field needs NumPy alone; torch is imported by the first use of
-`train` and its kin.
+`train` and its kin, the verification by that of `verify`.
 """
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from sgvf_drake.exceptions import (
@@ -25,10 +26,15 @@ from sgvf_drake.paths import SHAPES, PointCloud, ReferencePath, make_shape, shap
 
 if TYPE_CHECKING:
     from sgvf_drake.learning import SelfCheck, TrainingConfig, TrainingResult, train
+    from sgvf_drake.lyapunov import LyapunovFunction, find_singularities, verify
 
 __version__ = "0.1.0"
 
-_LEARNING = ("SelfCheck", "TrainingConfig", "TrainingResult", "train")
+# What is imported on its first use, and from where.
+_LATER = {
+    **dict.fromkeys(("SelfCheck", "TrainingConfig", "TrainingResult", "train"), "learning"),
+    **dict.fromkeys(("LyapunovFunction", "find_singularities", "verify"), "lyapunov"),
+}
 
 __all__ = [
     "SHAPES",
@@ -37,6 +43,7 @@ __all__ = [
     "FieldFileError",
     "GaussianMixture",
     "GuidingField",
+    "LyapunovFunction",
     "NonFiniteValueError",
     "OutputExistsError",
     "PointCloud",
@@ -46,18 +53,18 @@ __all__ = [
     "SgvfError",
     "TrainingConfig",
     "TrainingResult",
+    "find_singularities",
     "load_field",
     "make_shape",
     "shape_path",
     "train",
+    "verify",
 ]
 
 
 def __getattr__(name: str) -> Any:
-    if name in _LEARNING:
-        from sgvf_drake import learning
-
-        return getattr(learning, name)
+    if name in _LATER:
+        return getattr(import_module(f"sgvf_drake.{_LATER[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

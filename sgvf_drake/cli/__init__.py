@@ -1,4 +1,4 @@
-"""The command line: ``sgvf train | import | follow | fly | demo``.
+"""The command line: ``sgvf train | import | follow | fly | verify | singularities | demo``.
 
 Commands parse, call the experiments, and print a table; the work is elsewhere.  The heavy
 imports (Drake, torch, matplotlib) happen inside the commands, so that ``sgvf --help`` and
@@ -9,6 +9,8 @@ a mistyped option answer at once.
 from sgvf_drake.cli import training  # isort: skip
 from sgvf_drake.cli import importing  # isort: skip
 from sgvf_drake.cli import following  # isort: skip
+from sgvf_drake.cli import verifying  # isort: skip
+from sgvf_drake.cli import singularities  # isort: skip
 from sgvf_drake.cli.application import app, main
 
-__all__ = ["app", "following", "importing", "main", "training"]
+__all__ = ["app", "following", "importing", "main", "singularities", "training", "verifying"]

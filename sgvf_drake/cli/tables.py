@@ -1,5 +1,6 @@
 """The tables that the commands print, each from a summary."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -138,6 +139,42 @@ def _completion(piece: Mapping[str, Any]) -> str:
 
 def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.4f}"
+
+
+def print_singularities(summary: Mapping[str, Any]) -> None:
+    """Prints the summary of the singularities."""
+    prefixes = {"guiding": "", "score": "score_", "tangent": "tangent_"}
+    rows = {
+        f"zeros of the {name}{'' if name == 'score' else ' field'}": (
+            f"{_kinds(summary['zeros'], name)}; indices sum up to "
+            f"{summary[f'{prefix}index_sum']}, winding number "
+            f"{summary[f'{prefix}winding_number']}"
+        )
+        for name, prefix in prefixes.items()
+    }
+    rows["undecided places"] = str(summary["undecided"])
+    claims = {
+        "low_density": "score vanishes at low density",
+        "low_density_off_path": "the same off the path",
+        "high_curvature": "score vanishes at high curvature",
+        "branches": "score vanishes near branches",
+    }
+    for claim, name in claims.items():
+        rows[name] = _concentration(summary["vanishing"][claim])
+    print_table("Singularities", rows)
+
+
+def _kinds(zeros: Sequence[Mapping[str, Any]], field: str) -> str:
+    """Returns how many zeros of each kind a field has: "1 focus, 2 saddle"."""
+    counts = Counter(zero["kind"] for zero in zeros if zero["field"] == field)
+    return ", ".join(f"{count} {kind}" for kind, count in counts.items()) or "none"
+
+
+def _concentration(claim: Mapping[str, Any] | None) -> str:
+    if claim is None:
+        return "nothing to tell by"
+    verdict = "yes" if claim["holds"] else "no"
+    return f"{verdict} (probability {claim['probability']:.2f}; by chance 0.5)"
 
 
 def print_table(title: str, rows: Mapping[str, str]) -> None:

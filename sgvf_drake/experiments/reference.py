@@ -4,23 +4,16 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import GuidingField
 from sgvf_drake.paths import (
     Piece,
     Reference,
     ReferencePath,
-    TracedPiece,
     TreeReference,
     shape_path,
     tree_reference,
-    with_ends,
 )
-
-# An end of the field belongs to a piece whose tree ends within this many U of it.
-END_REACH = 1.0
 
 
 def choose_reference(
@@ -56,25 +49,8 @@ def choose_reference(
         return path, "file"
     if field.cloud.shape is not None:
         return shape_path(field.cloud.shape), "shape"
-    return _as_learned(field, tree_reference(field.cloud)), "cloud"
-
-
-def _as_learned(field: GuidingField, tree: TreeReference) -> TreeReference:
-    """Returns the tree with its pieces open where the field has an end.
-
-    The user may have said so of a piece that looks closed.
-    """
-
-    def has_end(piece: TracedPiece) -> bool:
-        first_and_last = tree.points[piece.order[[0, -1]]]
-        between = np.linalg.norm(field.ends[:, None] - first_and_last, axis=2)
-        return bool(between.min(initial=np.inf) < END_REACH * field.cloud.unit_length)
-
-    pieces = (
-        with_ends(piece, tree.points, closed=False) if has_end(piece) else piece
-        for piece in tree.pieces
-    )
-    return TreeReference(tree.points, tuple(pieces))
+    tree = tree_reference(field.cloud)
+    return tree.opened_at(field.ends, field.cloud.unit_length), "cloud"
 
 
 def scale_reference(reference: Reference, factor: float) -> Reference:

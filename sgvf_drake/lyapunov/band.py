@@ -1,5 +1,6 @@
 """The band of levels on which V decreases along a field, and the noise level that suits it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -77,7 +78,7 @@ def search_band(
     field: GuidingField,
     samples: Samples,
     reference: Reference,
-    ratios: tuple[float, ...] = SIGMA_RATIOS,
+    ratios: Sequence[float] = SIGMA_RATIOS,
     seed: int = 0,
     progress: Progress = no_progress,
 ) -> Band | None:

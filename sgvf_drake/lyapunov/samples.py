@@ -1,8 +1,10 @@
 """Where the checks look: a grid over the box, and random points, more of them near the path."""
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sgvf_drake.arrays import FloatArray
 from sgvf_drake.exceptions import ConfigurationError
@@ -15,6 +17,9 @@ GRID_SIZE = 301
 BOX_SAMPLES = 20_000
 NEAR_SAMPLES = 30_000
 NEAR_SPREAD = 2.0
+
+
+Scalar = TypeVar("Scalar", bound=np.generic)
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +54,7 @@ class Samples:
         lower, upper = (np.array([axis[end] for axis in self.axes]) for end in (0, -1))
         return lower, upper
 
-    def as_grid(self, values: FloatArray) -> FloatArray:
+    def as_grid(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
         """Returns the values at the samples (n, ...) as those of the grid, (ky, kx, ...)."""
         shape = (len(self.axes[1]), len(self.axes[0]))
         return values[self.on_grid].reshape(*shape, *values.shape[1:])

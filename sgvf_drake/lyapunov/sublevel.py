@@ -12,8 +12,8 @@ from sgvf_drake.paths import Reference
 
 # Cells of the raster to the half-width of the tube, which is sigma sqrt(2 c) where V is that
 # of a straight line, but no more of them to one noise level.
-CELLS_PER_WIDTH = 12
-CELLS_PER_SIGMA = 24
+CELLS_PER_WIDTH = 8
+CELLS_PER_SIGMA = 16
 # Fewest and most cells along the longer axis of the box.
 CELL_RANGE = (300, 4_000)
 # Cells along each side of the blocks that are looked at first.

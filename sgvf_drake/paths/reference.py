@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from sgvf_drake.arrays import BoolArray, FloatArray, IntArray
 from sgvf_drake.exceptions import PointCloudError
+from sgvf_drake.paths.ends import with_ends
 from sgvf_drake.paths.point_cloud import PointCloud
 from sgvf_drake.paths.spanning_tree import TracedPiece, trace_pieces
 
@@ -31,6 +32,9 @@ SAMPLES = 16_384
 
 PROJECTION_TOLERANCE = 1e-7
 """Error of a projected distance, in parts of the reference's half-extent (4 U)."""
+
+END_REACH = 1.0
+"""An end of a field belongs to a piece whose tree ends within this many U of it."""
 
 CHUNK = 65_536
 """Points that are projected at once, to bound the memory."""
@@ -380,6 +384,27 @@ class TreeReference:
         closing_pair = piece.order[[-1, 0]]
         closing_arc = [piece.arc[np.searchsorted(piece.indices, piece.order[-1])], piece.length]
         return np.vstack([piece.edges, closing_pair]), np.vstack([arcs, closing_arc])
+
+    def opened_at(self, ends: FloatArray, unit_length: float) -> "TreeReference":
+        """Returns the same tree with its pieces open where a field has an end.
+
+        The user may have said so of a piece that looks closed.
+
+        Args:
+            ends: (E, d) where the field comes to rest.
+            unit_length: U; an end belongs to a piece that ends within `END_REACH` of it.
+        """
+
+        def has_end(piece: TracedPiece) -> bool:
+            first_and_last = self.points[piece.order[[0, -1]]]
+            between = np.linalg.norm(ends[:, None] - first_and_last, axis=2)
+            return bool(between.min(initial=np.inf) < END_REACH * unit_length)
+
+        pieces = (
+            with_ends(piece, self.points, closed=False) if has_end(piece) else piece
+            for piece in self.pieces
+        )
+        return TreeReference(self.points, tuple(pieces))
 
     def project(self, x: FloatArray) -> Projection:
         """Returns the nearest points of the tree to `x` (n, d).

@@ -35,7 +35,7 @@ def found(ring):
 
 
 def test_on_a_ring_v_falls_from_the_border_to_a_thin_tube(found):
-    field, _, band = found
+    _, _, band = found
     border = float(band.function(np.array([[5.0, 0.0]]))[0])
     assert band.c_out == pytest.approx((1 - LEVEL_MARGIN) * border, rel=1e-3)
     # V_dot = -|S| tanh(k |S|) at |S| = sqrt(2 V) / sigma is the least decrease by then.

@@ -1,0 +1,130 @@
+"""Find the singularities of a field and measure the paper's claim about them."""
+
+from os import PathLike
+import time
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from sgvf_drake import plotting
+from sgvf_drake.experiments.reference import choose_reference
+from sgvf_drake.experiments.results import SUMMARY, result_folder, write_summary
+from sgvf_drake.experiments.singularity_figures import log_density_figure, singularity_figure
+from sgvf_drake.fields import GuidingField
+from sgvf_drake.lyapunov import (
+    Singularities,
+    Vanishing,
+    Zero,
+    find_singularities,
+    measure_vanishing,
+)
+from sgvf_drake.paths import Reference
+
+SINGULARITIES_FILES = (SUMMARY, "zeros.csv", "singularities.png", "log_density.png")
+
+Row = dict[str, Any]
+
+
+def run_singularities(
+    field: GuidingField,
+    reference: tuple[Reference, str] | None,
+    out: str | PathLike[str],
+    *,
+    overwrite: bool = False,
+) -> dict[str, Any]:
+    """Finds the zeros of a field; leaves a table, two figures and the summary.
+
+    Args:
+        field: The field, planar.
+        reference: From `choose_reference`; None: the best there is without a file.
+        out: The folder of the results.
+        overwrite: Whether results there may be replaced.
+
+    Returns:
+        The summary.
+
+    Raises:
+        ConfigurationError: The field is not planar, or its zeros have no index.
+    """
+    path, kind = reference or choose_reference(field)
+    begin = time.perf_counter()
+    with result_folder(out, SINGULARITIES_FILES, overwrite=overwrite) as folder:
+        found = find_singularities(field)
+        vanishing = measure_vanishing(field, found, path)
+        elapsed = time.perf_counter() - begin
+        zeros = zero_rows(found, vanishing)
+        zero_table(zeros).to_csv(folder / "zeros.csv", index=False)
+        singularity_figure(field, found).savefig(folder / "singularities.png", dpi=plotting.DPI)
+        log_density_figure(field, found).savefig(folder / "log_density.png", dpi=plotting.DPI)
+        summary = {
+            **singularity_summary(found),
+            "vanishing": vanishing.summary(),
+            "zeros": zeros,
+            "time_s": elapsed,
+            "unit_length": field.cloud.unit_length,
+            "reference": kind,
+            "recipe": field.recipe,
+            "seed": field.seed,
+            "digest": field.cloud.digest,
+        }
+        write_summary(folder, summary)
+    return summary
+
+
+def singularity_summary(found: Singularities) -> dict[str, Any]:
+    """Returns winding numbers and sums of indices, by the names of `summary.json`."""
+    parts = {"": found.guiding, "score_": found.score, "tangent_": found.tangent}
+    summary: dict[str, Any] = {}
+    for prefix, zeros in parts.items():
+        summary[f"{prefix}winding_number"] = zeros.winding_number
+        summary[f"{prefix}index_sum"] = zeros.index_sum
+    undecided = {name: zeros.undecided for name, zeros in found.by_field.items()}
+    return {
+        **summary,
+        "undecided": sum(undecided.values()),
+        "undecided_by_field": undecided,
+        "cells": sum(zeros.cells for zeros in found.by_field.values()),
+        "box": found.box,
+    }
+
+
+def zero_rows(found: Singularities, vanishing: Vanishing) -> list[Row]:
+    """Returns one row a zero: what it is, and for m and the score what is around it."""
+    around = {"guiding": vanishing.guiding, "score": vanishing.score}
+    rows = []
+    for name, zeros in found.by_field.items():
+        for number, zero in enumerate(zeros.zeros):
+            row = _row(zero)
+            if name in around:
+                row |= around[name].at(number)
+            rows.append(row)
+    return rows
+
+
+def _row(zero: Zero) -> Row:
+    return {
+        "field": zero.field,
+        "point": zero.point,
+        "index": zero.index,
+        "kind": zero.kind,
+        "stable": zero.stable,
+        "eigenvalues": [[value.real, value.imag] for value in zero.eigenvalues],
+        "residual": zero.residual,
+    }
+
+
+def zero_table(rows: list[Row]) -> pd.DataFrame:
+    """Returns the rows as a table, with a column for each number."""
+    table = pd.DataFrame(rows)
+    points = np.array([row["point"] for row in rows]).reshape(-1, 2)
+    eigenvalues = np.array([row["eigenvalues"] for row in rows]).reshape(-1, 4)
+    names = [f"eigenvalue_{number}_{part}" for number in (1, 2) for part in ("real", "imag")]
+    return pd.concat(
+        [
+            pd.DataFrame(points, columns=["x", "y"]),
+            table.drop(columns=["point", "eigenvalues"], errors="ignore"),
+            pd.DataFrame(eigenvalues, columns=names),
+        ],
+        axis=1,
+    )

@@ -1,0 +1,249 @@
+"""Check the Lyapunov conditions of a field: on samples, along trajectories, and in flight."""
+
+from collections.abc import Sequence
+from os import PathLike
+from pathlib import Path
+import time
+from typing import Any
+
+import numpy as np
+
+from sgvf_drake import plotting
+from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.experiments.reference import choose_reference
+from sgvf_drake.experiments.results import SUMMARY, result_folder, write_summary
+from sgvf_drake.experiments.theorem import (
+    DecreaseCheck,
+    LevelSetCheck,
+    ModeCheck,
+    check_decrease,
+    check_level_sets,
+    check_modes,
+)
+from sgvf_drake.experiments.theorem_figures import theorem_figure
+from sgvf_drake.experiments.tracking import flight_tracking
+from sgvf_drake.experiments.tracking_figures import tracking_figure
+from sgvf_drake.experiments.verify_figures import verification_figure
+from sgvf_drake.fields import GuidingField, TangentField
+from sgvf_drake.lyapunov import (
+    Verification,
+    inward_margins,
+    learned_path,
+    search_band,
+    take_samples,
+    verify,
+)
+from sgvf_drake.metrics import default_duration, grid_starts
+from sgvf_drake.paths import Reference
+from sgvf_drake.progress import Progress, no_progress
+from systems import FieldForSpeed
+
+VERIFY_FILES = (SUMMARY, "verify.png", "theorem.png", "tracking.png")
+# Level sets of the band on which x_dot = v starts.
+NUM_LEVEL_SETS = 5
+
+
+def choose_path(
+    field: GuidingField,
+    file: str | Path | None = None,
+    columns: Sequence[str | int] | None = None,
+) -> tuple[Reference, str]:
+    """Returns the path whose tube is looked for, and its kind; as `choose_reference`.
+
+    Where nothing but the cloud is known, it is the tree of the points that were learned from:
+    strays and noise have no tube.
+    """
+    path, kind = choose_reference(field, file, columns)
+    return (learned_path(field), kind) if kind == "cloud" else (path, kind)
+
+
+def run_verify(
+    field: GuidingField,
+    reference: tuple[Reference, str] | None,
+    out: str | PathLike[str],
+    *,
+    starts: int = 64,
+    speed: float | None = None,
+    altitude: float = 1.0,
+    overwrite: bool = False,
+    progress: Progress = no_progress,
+) -> dict[str, Any]:
+    """Verifies a field; leaves the maps, the trajectories' figure and the summary.
+
+    Args:
+        field: The field; in metres where it is to be flown.
+        reference: From `choose_path`; None: the best there is without a file.
+        out: The folder of the results.
+        starts: Agents that follow it; a grid over the box, of which those inside count.
+        speed: In m/s: the quadrotor flies along every piece too; None: it does not.
+        altitude: Height of that flight, m.
+        overwrite: Whether results there may be replaced.
+        progress: Told how far it is.
+
+    Returns:
+        The summary.
+
+    Raises:
+        ConfigurationError: The field is not planar, or a value cannot be used.
+    """
+    if speed is not None and not (np.isfinite(speed) and speed > 0):
+        raise ConfigurationError(f"the speed must be a positive number, not {speed}")
+    path, kind = reference or choose_path(field)
+    begin = time.perf_counter()
+    with result_folder(out, VERIFY_FILES, overwrite=overwrite) as folder:
+        found = verify(field, path, progress=progress)
+        verification_figure(field, found).savefig(folder / "verify.png", dpi=plotting.DPI)
+        summary = {**verification_summary(field, found), "theorem": None, "flight": None}
+        remained = None
+        if found.band is not None:
+            checks = check_theorem(field, path, found, starts, progress)
+            theorem_figure(*checks).savefig(folder / "theorem.png", dpi=plotting.DPI)
+            summary["theorem"] = theorem_summary(*checks)
+            remained = summary["theorem"]["decrease"]["stayed_fraction"]
+        summary["assumptions"]["a3"] = {
+            "compact": summary["compact"],
+            "inward": found.margins and bool(found.margins.e_star.min() > 0),
+            "remained_fraction": remained,
+        }
+        if speed is not None:
+            summary["flight"] = _fly(field, path, speed, altitude, folder, progress)
+        summary |= {
+            "time_s": time.perf_counter() - begin,
+            "unit_length": field.cloud.unit_length,
+            "reference": kind,
+            "recipe": field.recipe,
+            "seed": field.seed,
+            "digest": field.cloud.digest,
+        }
+        write_summary(folder, summary)
+    return summary
+
+
+def verification_summary(field: GuidingField, found: Verification) -> dict[str, Any]:
+    """Returns what the samples showed, by the names of `summary.json`."""
+    band, margins = found.band, found.margins
+    lower, upper = field.cloud.box
+    return {
+        "holds": found.holds,
+        "reason": found.reason,
+        "method": "sampled",
+        "sigma": found.function.sigma,
+        "c_in": band and band.c_in,
+        "c_out": band and band.c_out,
+        "alpha": band and band.decrease,
+        "delta": found.slowest,
+        "tube_half_width": band and band.tube.half_width,
+        "area_fraction": band and band.basin.area / float(np.prod(upper - lower)),
+        "decrease_fraction": found.decrease_fraction,
+        "compact": band and band.basin.compact,
+        "components": band
+        and [{"pieces": c.pieces, "holes": c.holes} for c in band.tube.components],
+        "e_star_max": margins and margins.largest,
+        "e_star": margins
+        and {"levels": margins.levels, "e_star": margins.e_star, "weakest": margins.weakest},
+        "violations": [
+            {
+                "kind": violation.kind,
+                "detail": violation.detail,
+                "point": violation.point,
+                "value": violation.value,
+                "V": violation.V,
+                "area": violation.area,
+                "counts": violation.counts,
+            }
+            for violation in found.violations
+        ],
+        "assumptions": found.assumptions.summary(),
+        "lemma": found.lemma.summary(),
+        "bounds": {bound.name: bound.summary() for bound in found.bounds},
+    }
+
+
+Checks = tuple[DecreaseCheck, LevelSetCheck, ModeCheck]
+
+
+def check_theorem(
+    field: GuidingField,
+    reference: Reference,
+    found: Verification,
+    starts: int,
+    progress: Progress = no_progress,
+) -> Checks:
+    """Follows the field through its band, and checks Theorem 1 (i) to (iii).
+
+    Args:
+        field: The field.
+        reference: The path.
+        found: Its verification, with a band.
+        starts: Agents of the grid, of which those inside {V <= c_out} count.
+        progress: Told how far it is.
+    """
+    assert found.band is not None
+    function, c_in, c_out = found.function, found.band.c_in, found.band.c_out
+    grid = grid_starts(field.cloud.box, starts, field.dim)
+    inside = grid[function(grid) <= c_out]
+    # A coarse grid may miss a thin basin; waypoints lie in it.
+    first = inside if len(inside) else function.mixture.points[:1]
+    longest = reference.longest
+    duration = default_duration(reference, field.cloud.unit_length)
+    decrease = check_decrease(
+        field, function, (c_in, c_out), first, duration, longest, progress
+    )
+    levels = np.geomspace(c_in, c_out, NUM_LEVEL_SETS).tolist()
+    level_sets = check_level_sets(
+        TangentField(field), function, levels, longest, progress=progress
+    )
+    return decrease, level_sets, check_modes(field, function)
+
+
+def theorem_summary(
+    decrease: DecreaseCheck, level_sets: LevelSetCheck, modes: ModeCheck
+) -> dict[str, Any]:
+    """Returns the three parts by the names of `summary.json`."""
+    return {
+        "decrease": decrease.summary(),
+        "level_sets": level_sets.summary(),
+        "modes": modes.summary(),
+    }
+
+
+def _fly(
+    field: GuidingField,
+    reference: Reference,
+    speed: float,
+    altitude: float,
+    folder: Path,
+    progress: Progress,
+) -> dict[str, Any]:
+    """Compares the velocity error of a flight with the inward flow of the field it follows.
+
+    A flight follows a field that is widened for its speed, which has a band of its own.
+    """
+    flown = FieldForSpeed(field, speed)
+    assert isinstance(flown, GuidingField)
+    samples = take_samples(flown)
+    band = search_band(flown, samples, reference, progress=progress)
+    if band is None:
+        return {"band": None}
+    margins = inward_margins(flown, band.function, samples, band.c_in, band.c_out)
+    # The set that tolerates most is the one that a flight is to stay in.
+    level = float(margins.levels[margins.e_star.argmax()])
+    result = flight_tracking(
+        field,
+        reference,
+        speed,
+        band.function,
+        margins,
+        c_in=band.c_in,
+        level=level,
+        altitude=altitude,
+        progress=progress,
+    )
+    tracking_figure(result).savefig(folder / "tracking.png", dpi=plotting.DPI)
+    return {
+        "band": [band.c_in, band.c_out],
+        "sigma": band.function.sigma,
+        "tube_half_width": band.tube.half_width,
+        "e_star_max": margins.largest,
+        **result.summary(),
+    }

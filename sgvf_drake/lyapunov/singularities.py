@@ -1,0 +1,195 @@
+"""Singularities of a planar guiding field: the zeros of m, of the score and of the tangent."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgvf_drake.arrays import FloatArray
+from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.fields import (
+    Field,
+    GuidingField,
+    NormalisedComposition,
+    PaperComposition,
+    ScoreField,
+    TangentField,
+)
+from sgvf_drake.lyapunov.winding import box_corners, winding_number
+from sgvf_drake.lyapunov.zeros import find_zeros
+
+KINDS = ("source", "sink", "saddle", "focus", "centre", "degenerate")
+"""What a zero can be: two real eigenvalues of one sign (source, sink) or of both (saddle), two
+complex ones (focus), two imaginary ones (centre), or not told by them."""
+
+NEGLIGIBLE = 1e-6
+"""An imaginary or a real part below this share of the eigenvalue is zero: rounding splits a
+double eigenvalue by the square root of 1e-16."""
+
+BOX_GROWTH = (1.0, 1.001, 1.002)
+"""Where a field vanishes on the border of the box, a box larger by this is taken."""
+
+Box = tuple[FloatArray, FloatArray]
+
+
+@dataclass(frozen=True, eq=False)
+class Zero:
+    """A zero of a planar field.
+
+    Attributes:
+        field: `guiding`, `score` or `tangent`.
+        point: (2,) where it is, in the unit of the waypoints.
+        index: Its Poincare index.
+        kind: One of `KINDS`.
+        stable: Whether both eigenvalues have a negative real part.
+        eigenvalues: (2,) of the Jacobian there, complex; of a field that is normalised, and of
+            the tangent, before that.
+        residual: The length of the same field there.
+    """
+
+    field: str
+    point: FloatArray
+    index: int
+    kind: str
+    stable: bool
+    eigenvalues: NDArray[np.complex128]
+    residual: float
+
+
+@dataclass(frozen=True, eq=False)
+class FieldZeros:
+    """All zeros of one field in a box.
+
+    Attributes:
+        zeros: The zeros.
+        winding_number: How often the field turns along the border of the box,
+            counter-clockwise.
+        undecided: Number of places where the search could not decide; see `ZeroSearch`.
+        cells: Number of cells over which the field was evaluated.
+    """
+
+    zeros: tuple[Zero, ...]
+    winding_number: int
+    undecided: int
+    cells: int
+
+    @property
+    def index_sum(self) -> int:
+        """The sum of the indices, which is the winding number (Poincare and Hopf)."""
+        return sum(zero.index for zero in self.zeros)
+
+    @property
+    def points(self) -> FloatArray:
+        """Where the zeros are, (k, 2)."""
+        return np.array([zero.point for zero in self.zeros]).reshape(-1, 2)
+
+
+@dataclass(frozen=True, eq=False)
+class Singularities:
+    """The zeros of a guiding field and of its parts.
+
+    Attributes:
+        box: Lower and upper corner of the box that was searched.
+        guiding: The zeros of m.
+        score: Those of the raw score S.
+        tangent: Those of the tangent network.
+    """
+
+    box: Box
+    guiding: FieldZeros
+    score: FieldZeros
+    tangent: FieldZeros
+
+    @property
+    def by_field(self) -> Mapping[str, FieldZeros]:
+        """The zeros of all three, by the names of their fields."""
+        return {"guiding": self.guiding, "score": self.score, "tangent": self.tangent}
+
+
+def find_singularities(field: GuidingField) -> Singularities:
+    """Finds the zeros of a planar field, of its score and of its tangent in its box.
+
+    Raises:
+        ConfigurationError: The field is not planar, or vanishes along a line that leaves the
+            box.
+    """
+    box, found = _find(field, ("guiding", "score", "tangent"))
+    return Singularities(box, **found)
+
+
+def find_guiding_zeros(field: GuidingField) -> FieldZeros:
+    """Finds the zeros of a planar field alone; see `find_singularities`."""
+    return _find(field, ("guiding",))[1]["guiding"]
+
+
+def _find(field: GuidingField, names: Sequence[str]) -> tuple[Box, dict[str, FieldZeros]]:
+    if field.dim != 2:
+        raise ConfigurationError(
+            f"singularities are found of planar fields, not in {field.dim} dimensions"
+        )
+    unnormalised = replace(field, composition=PaperComposition(field.composition.gain))
+    normalises = isinstance(field.composition, NormalisedComposition)
+    parts: dict[str, Field] = {
+        "guiding": unnormalised if normalises else field,
+        "score": ScoreField(field),
+        "tangent": TangentField(unnormalised),
+    }
+    fields, scale = {name: parts[name] for name in names}, field.mixture.sigma
+    box, winding_numbers = _clear_box(fields, field.cloud.box, scale)
+    return box, {
+        name: _field_zeros(name, part, box, scale, winding_numbers[name])
+        for name, part in fields.items()
+    }
+
+
+def kind_of(jacobian: FloatArray) -> str:
+    """Returns the kind of a simple zero, from the Jacobian (2, 2) there."""
+    eigenvalues = np.linalg.eigvals(jacobian)
+    real, imaginary = eigenvalues.real, np.abs(eigenvalues.imag).max()
+    size = np.abs(eigenvalues).max()
+    if imaginary > NEGLIGIBLE * size:
+        return "centre" if np.abs(real).max() <= NEGLIGIBLE * size else "focus"
+    if real.min() < 0 < real.max():
+        return "saddle"
+    return "source" if real.min() > 0 else "sink"
+
+
+def _clear_box(
+    fields: Mapping[str, Field], box: Box, spacing: float
+) -> tuple[Box, dict[str, int]]:
+    """Returns a box on whose border no field vanishes, and their winding numbers there."""
+    middle, half = (box[0] + box[1]) / 2, (box[1] - box[0]) / 2
+    for growth in BOX_GROWTH:
+        grown = (middle - growth * half, middle + growth * half)
+        try:
+            return grown, {
+                name: winding_number(field, box_corners(grown), spacing)
+                for name, field in fields.items()
+            }
+        except ConfigurationError as error:
+            vanishes = error
+    raise vanishes
+
+
+def _field_zeros(
+    name: str, field: Field, box: Box, scale: float, winding_number: int
+) -> FieldZeros:
+    search = find_zeros(field, box, scale)
+    values, jacobians = field.value_and_jacobian(search.points)
+    zeros = []
+    for number, jacobian in enumerate(jacobians):
+        eigenvalues = np.linalg.eigvals(jacobian).astype(np.complex128)
+        kind = "degenerate" if search.degenerate[number] else kind_of(jacobian)
+        zeros.append(
+            Zero(
+                field=name,
+                point=search.points[number],
+                index=int(search.indices[number]),
+                kind=kind,
+                stable=kind != "centre" and bool(eigenvalues.real.max() < 0),
+                eigenvalues=eigenvalues,
+                residual=float(np.linalg.norm(values[number])),
+            )
+        )
+    return FieldZeros(tuple(zeros), winding_number, search.undecided, search.cells)
