@@ -11,6 +11,7 @@ import typer
 from sgvf_drake import cli, load_field, make_shape
 
 ROOT = Path(__file__).parents[1]
+COMMANDS = {"train", "import", "follow", "fly", "verify", "singularities", "demo"}
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
@@ -39,13 +40,16 @@ def executed(tmp_path_factory):
         patch.chdir(folder)
         for number, code in enumerate(blocks("python")):
             namespace = {"__name__": f"readme_{number}"}
+            if number == 1:
+                # It goes on where the first block ended.
+                namespace |= namespaces[0]
             exec(compile(code, f"README.md, block {number}", "exec"), namespace)
             namespaces.append(namespace)
     return folder, namespaces
 
 
 def test_the_first_lines_train_and_save(executed):
-    folder, (first, _) = executed
+    folder, (first, *_) = executed
     assert first["result"].self_check.passed
     stored = load_field(folder / "field.safetensors")
     points = first["cloud"].points
@@ -54,9 +58,14 @@ def test_the_first_lines_train_and_save(executed):
     assert len(own_lines(blocks("python")[0])) <= 10
 
 
+def test_the_second_lines_verify(executed):
+    _, (_, second, _) = executed
+    assert second["found"].holds, second["found"].reason
+
+
 def test_guidance_in_a_diagram_of_ones_own_flies_the_circle(executed):
-    _, (_, second) = executed
-    assert len(own_lines(blocks("python")[1])) < 15
+    _, (*_, second) = executed
+    assert len(own_lines(blocks("python")[-1])) < 15
     context = second["simulator"].get_context()
     assert context.get_time() == 30.0
     x, y, z = context.get_continuous_state_vector().CopyToVector()[:3]
@@ -76,14 +85,12 @@ def parse(line):
 @pytest.mark.parametrize("line", command_lines("sgvf"))
 def test_commands_parse(line):
     name, parameters = parse(line)
-    assert name in {"train", "follow", "fly", "demo"}
+    assert name in COMMANDS
     assert parameters["out"] is not None
 
 
 def test_every_command_is_shown():
-    assert {parse(line)[0] for line in command_lines("sgvf")} == {
-        *("train", "follow", "fly", "demo")
-    }
+    assert {parse(line)[0] for line in command_lines("sgvf")} == COMMANDS
 
 
 def test_a_command_that_is_wrong_does_not_parse(capsys):
@@ -109,7 +116,11 @@ def test_files_and_folders_are_those_of_the_project():
 
 
 def test_results_are_named_as_they_are_written():
+    from sgvf_drake.experiments.importing import IMPORT_FILES
     from sgvf_drake.experiments.runs import FOLLOW_FILES, TRAIN_FILES
+    from sgvf_drake.experiments.singularities import SINGULARITIES_FILES
+    from sgvf_drake.experiments.verify import VERIFY_FILES
 
-    for name in (*TRAIN_FILES, *FOLLOW_FILES, "flight_N.parquet", "waypoints.csv"):
+    written = (*TRAIN_FILES, *FOLLOW_FILES, *IMPORT_FILES, *VERIFY_FILES, *SINGULARITIES_FILES)
+    for name in (*written, "flight_N.parquet", "waypoints.csv"):
         assert f"`{name}`" in TEXT, name

@@ -1,18 +1,21 @@
 """Experiments: what the commands run, each as a Drake simulation with its results."""
 
 from sgvf_drake.experiments.demo import run_demo
+from sgvf_drake.experiments.figures import (
+    log_density_figure,
+    singularity_figure,
+    theorem_figure,
+    tracking_figure,
+    verification_figure,
+)
 from sgvf_drake.experiments.fly import FlightResult, check_feasibility, fly
 from sgvf_drake.experiments.follow import FollowResult, follow
 from sgvf_drake.experiments.importing import run_import
 from sgvf_drake.experiments.reference import choose_reference, scale_reference
 from sgvf_drake.experiments.runs import open_field, run_fly, run_follow, run_train
 from sgvf_drake.experiments.singularities import run_singularities
-from sgvf_drake.experiments.singularity_figures import log_density_figure, singularity_figure
-from sgvf_drake.experiments.theorem_figures import theorem_figure
 from sgvf_drake.experiments.tracking import flight_tracking
-from sgvf_drake.experiments.tracking_figures import tracking_figure
 from sgvf_drake.experiments.verify import check_theorem, choose_path, run_verify
-from sgvf_drake.experiments.verify_figures import verification_figure
 
 __all__ = [
     "FlightResult",

@@ -5,9 +5,11 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from matplotlib.figure import Figure
+
 from sgvf_drake import plotting
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.experiments.results import SUMMARY, result_folder, write_summary
+from sgvf_drake.experiments.results import SUMMARY, result_folder, save_figure, write_summary
 from sgvf_drake.experiments.runs import FIELD_FILE
 from sgvf_drake.fields import (
     PAPER_GAIN,
@@ -67,7 +69,7 @@ def run_import(
         field = import_field(*networks, cloud, gain=gain, normalise=normalise, files=files)
         field.save(folder / FIELD_FILE)
         if field.dim == 2:
-            _figure(field, folder / FIGURE)
+            save_figure(_figure(field), folder / FIGURE)
         summary = {
             "recipe": field.recipe,
             "seed": field.seed,
@@ -113,10 +115,10 @@ def _architecture(kind: str, network: Perceptron) -> dict[str, Any]:
     return {f"{kind}_layers": widths, f"{kind}_activation": network.activation.name}
 
 
-def _figure(field: GuidingField, path: Path) -> None:
-    """Saves the field with its waypoints."""
+def _figure(field: GuidingField) -> Figure:
+    """Returns the field with its waypoints."""
     figure, axes = plotting.new_figure(1, 1, 5.2, 4.6)
     plotting.plot_field(axes[0], field, field.cloud.box)
     plotting.plot_waypoints(axes[0], field.cloud.points)
     plotting.plane_axes(axes[0], "unit of the waypoints", "guiding field")
-    figure.savefig(path, dpi=plotting.DPI)
+    return figure

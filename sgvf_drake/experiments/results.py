@@ -10,8 +10,10 @@ import shutil
 import tempfile
 from typing import Any
 
+from matplotlib.figure import Figure
 import numpy as np
 
+from sgvf_drake import plotting
 from sgvf_drake.exceptions import ConfigurationError, OutputExistsError
 
 SUMMARY = "summary.json"
@@ -72,6 +74,11 @@ def _move(source: Path, target: Path) -> None:
             destination.mkdir(exist_ok=True)
         else:
             os.replace(path, destination)
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Writes a figure as a picture."""
+    figure.savefig(path, dpi=plotting.DPI)
 
 
 def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:

@@ -9,7 +9,7 @@ from sgvf_drake.experiments import figures
 from sgvf_drake.experiments.fly import fly
 from sgvf_drake.experiments.follow import follow
 from sgvf_drake.experiments.reference import choose_reference
-from sgvf_drake.experiments.results import SUMMARY, result_folder, write_summary
+from sgvf_drake.experiments.results import SUMMARY, result_folder, save_figure, write_summary
 from sgvf_drake.fields import GuidingField, load_field
 from sgvf_drake.paths import PointCloud, Reference
 from sgvf_drake.progress import Progress, no_progress
@@ -59,7 +59,8 @@ def run_train(
         result = train(cloud, config, progress)
         result.field.save(folder / FIELD_FILE)
         result.history.to_csv(folder / "losses.csv", index=False)
-        figures.training_figure(result.field, result.history, folder / "field.png")
+        figure = figures.training_figure(result.field, result.history)
+        save_figure(figure, folder / "field.png")
         summary = {
             "recipe": result.field.recipe,
             "seed": result.field.seed,
@@ -136,7 +137,7 @@ def run_follow(
     with result_folder(out, FOLLOW_FILES, overwrite=overwrite) as folder:
         result = follow(field, path, starts, duration, progress)
         figures.trajectory_table(result).to_parquet(folder / "trajectories.parquet")
-        figures.follow_figure(field, result, folder / "follow.png")
+        save_figure(figures.follow_figure(field, result), folder / "follow.png")
         unit = {"unit_length": field.cloud.unit_length, "reference": kind}
         summary = {**result.summary(), **unit, **_origin(field)}
         write_summary(folder, summary)
@@ -178,7 +179,8 @@ def run_fly(
         for flight in result.flights:
             stem = folder / f"flight_{flight.piece + 1}"
             flight.log.to_parquet(stem.with_suffix(".parquet"))
-            figures.flight_figure(flown, field.cloud, flight, result, stem.with_suffix(".png"))
+            figure = figures.flight_figure(flown, field.cloud, flight, result)
+            save_figure(figure, stem.with_suffix(".png"))
         summary = {**result.summary(), "reference": kind, **_origin(field)}
         write_summary(folder, summary)
     return summary

@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from sgvf_drake import plotting
+from sgvf_drake.experiments.figures.singularities import log_density_figure, singularity_figure
 from sgvf_drake.experiments.reference import choose_reference
-from sgvf_drake.experiments.results import SUMMARY, result_folder, write_summary
-from sgvf_drake.experiments.singularity_figures import log_density_figure, singularity_figure
+from sgvf_drake.experiments.results import SUMMARY, result_folder, save_figure, write_summary
 from sgvf_drake.fields import GuidingField
 from sgvf_drake.lyapunov import (
     Singularities,
@@ -55,8 +54,8 @@ def run_singularities(
         elapsed = time.perf_counter() - begin
         zeros = zero_rows(found, vanishing)
         zero_table(zeros).to_csv(folder / "zeros.csv", index=False)
-        singularity_figure(field, found).savefig(folder / "singularities.png", dpi=plotting.DPI)
-        log_density_figure(field, found).savefig(folder / "log_density.png", dpi=plotting.DPI)
+        save_figure(singularity_figure(field, found), folder / "singularities.png")
+        save_figure(log_density_figure(field, found), folder / "log_density.png")
         summary = {
             **singularity_summary(found),
             "vanishing": vanishing.summary(),

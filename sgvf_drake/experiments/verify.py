@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from sgvf_drake import plotting
 from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.experiments.figures.theorem import theorem_figure
+from sgvf_drake.experiments.figures.tracking import tracking_figure
+from sgvf_drake.experiments.figures.verification import verification_figure
 from sgvf_drake.experiments.reference import choose_reference
-from sgvf_drake.experiments.results import SUMMARY, result_folder, write_summary
+from sgvf_drake.experiments.results import SUMMARY, result_folder, save_figure, write_summary
 from sgvf_drake.experiments.theorem import (
     DecreaseCheck,
     LevelSetCheck,
@@ -20,10 +22,7 @@ from sgvf_drake.experiments.theorem import (
     check_level_sets,
     check_modes,
 )
-from sgvf_drake.experiments.theorem_figures import theorem_figure
 from sgvf_drake.experiments.tracking import flight_tracking
-from sgvf_drake.experiments.tracking_figures import tracking_figure
-from sgvf_drake.experiments.verify_figures import verification_figure
 from sgvf_drake.fields import GuidingField, TangentField
 from sgvf_drake.lyapunov import (
     Verification,
@@ -92,12 +91,12 @@ def run_verify(
     begin = time.perf_counter()
     with result_folder(out, VERIFY_FILES, overwrite=overwrite) as folder:
         found = verify(field, path, progress=progress)
-        verification_figure(field, found).savefig(folder / "verify.png", dpi=plotting.DPI)
+        save_figure(verification_figure(field, found), folder / "verify.png")
         summary = {**verification_summary(field, found), "theorem": None, "flight": None}
         remained = None
         if found.band is not None:
             checks = check_theorem(field, path, found, starts, progress)
-            theorem_figure(*checks).savefig(folder / "theorem.png", dpi=plotting.DPI)
+            save_figure(theorem_figure(*checks), folder / "theorem.png")
             summary["theorem"] = theorem_summary(*checks)
             remained = summary["theorem"]["decrease"]["stayed_fraction"]
         summary["assumptions"]["a3"] = {
@@ -239,7 +238,7 @@ def _fly(
         altitude=altitude,
         progress=progress,
     )
-    tracking_figure(result).savefig(folder / "tracking.png", dpi=plotting.DPI)
+    save_figure(tracking_figure(result), folder / "tracking.png")
     return {
         "band": [band.c_in, band.c_out],
         "sigma": band.function.sigma,

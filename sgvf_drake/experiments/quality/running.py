@@ -1,9 +1,9 @@
 """Running: every case once, its result stored, and the table of all of them."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from dataclasses import asdict
-from functools import cache, partial
+from functools import cache
 import hashlib
 import json
 from multiprocessing import get_context
@@ -12,6 +12,7 @@ import time
 import traceback
 from typing import Any
 
+from matplotlib.figure import Figure
 import pandas as pd
 
 import sgvf_drake
@@ -21,7 +22,7 @@ from sgvf_drake.experiments.figures import follow_figure
 from sgvf_drake.experiments.follow import follow
 from sgvf_drake.experiments.quality.case import LABELS, Case
 from sgvf_drake.experiments.quality.measures import Row, failure, following, measure_score
-from sgvf_drake.experiments.results import SUMMARY, result_folder, write_summary
+from sgvf_drake.experiments.results import SUMMARY, result_folder, save_figure, write_summary
 from sgvf_drake.metrics import default_duration
 from sgvf_drake.progress import Progress, no_progress
 import systems
@@ -88,7 +89,7 @@ def run_case(case: Case, folder: Path) -> Row:
     }
     row["failure"] = failure(row)
     details = {"settings": asdict(result.settings), "self_check": asdict(result.self_check)}
-    _write(case, row, folder, details, partial(follow_figure, field, run))
+    _write(case, row, folder, details, follow_figure(field, run))
     return row
 
 
@@ -218,13 +219,13 @@ def _write(
     row: Row,
     folder: Path,
     details: Mapping[str, Any],
-    draw: Callable[[Path], None] | None = None,
+    figure: Figure | None = None,
 ) -> None:
     names = (f"{case.key}.json", f"{case.key}.png")
     content = {"identity": _identity(case), "row": row, **details}
     with result_folder(folder, names, overwrite=True) as temporary:
-        if draw is not None:
-            draw(temporary / names[1])
+        if figure is not None:
+            save_figure(figure, temporary / names[1])
         write_summary(temporary, content)
         (temporary / SUMMARY).rename(temporary / names[0])
 

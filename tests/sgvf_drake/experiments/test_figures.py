@@ -23,20 +23,20 @@ def check_picture(path):
 
 
 def test_training_figure(tmp_path, flight_result):
-    figures.training_figure(flight_result.field, flight_result.history, tmp_path / "a.png")
+    figure = figures.training_figure(flight_result.field, flight_result.history)
+    figure.savefig(tmp_path / "a.png")
     check_picture(tmp_path / "a.png")
 
 
 def test_follow_figure(tmp_path, flight_field, followed):
-    figures.follow_figure(flight_field, followed, tmp_path / "a.png")
+    figures.follow_figure(flight_field, followed).savefig(tmp_path / "a.png")
     check_picture(tmp_path / "a.png")
 
 
 def test_flight_figure(tmp_path, flight_field, flown):
     flight = flown.fast.flights[0]
-    figures.flight_figure(
-        flight_field, flight_field.cloud, flight, flown.fast, tmp_path / "a.png"
-    )
+    figure = figures.flight_figure(flight_field, flight_field.cloud, flight, flown.fast)
+    figure.savefig(tmp_path / "a.png")
     check_picture(tmp_path / "a.png")
 
 

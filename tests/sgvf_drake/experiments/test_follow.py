@@ -207,7 +207,7 @@ def test_a_field_without_ends_ends_where_the_reference_does(terminal, ended):
         ([False, True, True], "2 of 3 starts complete a lap or come to rest at the end"),
     ],
 )
-def test_the_figure_says_what_the_agents_are_to_do(monkeypatch, tmp_path, open_, title):
+def test_the_figure_says_what_the_agents_are_to_do(monkeypatch, open_, title):
     field = LineField(3.0)
     result = follow(field, choose_reference(field)[0], starts=3, duration=1.0)
     is_open, good = np.array(open_), np.array([True, True, False])
@@ -218,7 +218,7 @@ def test_the_figure_says_what_the_agents_are_to_do(monkeypatch, tmp_path, open_,
     module = figures.follow_figure.__globals__["plotting"]
     for name in ("plane_axes", "plot_trajectories"):
         monkeypatch.setattr(module, name, lambda *args: seen.append(args[-1]))
-    figures.follow_figure(field, replace(result, metrics=metrics), tmp_path / "a.png")
+    figures.follow_figure(field, replace(result, metrics=metrics))
     followed, shown = seen
     assert followed.tolist() == good.tolist()
     assert shown == title

@@ -9,6 +9,7 @@ import pytest
 from scipy.optimize import brentq
 
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
+from sgvf_drake.experiments.figures.theorem import theorem_figure
 from sgvf_drake.experiments.results import write_summary
 from sgvf_drake.experiments.theorem import (
     check_decrease,
@@ -17,7 +18,6 @@ from sgvf_drake.experiments.theorem import (
     follow_lyapunov,
     level_set_points,
 )
-from sgvf_drake.experiments.theorem_figures import theorem_figure
 from sgvf_drake.fields import GaussianMixture, TangentField
 from sgvf_drake.lyapunov import LyapunovFunction
 from sgvf_drake.metrics import grid_starts

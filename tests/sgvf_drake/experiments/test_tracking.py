@@ -10,10 +10,10 @@ import pytest
 
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments import fly
+from sgvf_drake.experiments.figures.tracking import tracking_figure
 from sgvf_drake.experiments.results import write_summary
 from sgvf_drake.experiments.theorem import level_set_points
 from sgvf_drake.experiments.tracking import flight_tracking
-from sgvf_drake.experiments.tracking_figures import tracking_figure
 from sgvf_drake.lyapunov import LyapunovFunction
 from sgvf_drake.lyapunov.margin import Margins
 from sgvf_drake.paths import ReferencePath

@@ -301,13 +301,7 @@ def dense_zeros(field, box):
     half = (box[1] - box[0]) / DENSE / 2
     roots = []
     for start in grid[:-1, :-1][crossing] + half:
-        found = root(
-            field,
-            start,
-            jac=lambda x: field.value_and_jacobian(x)[1],
-            tol=1e-12,
-            options={"maxfev": 30},
-        )
+        found = root(field, start, jac=lambda x: field.value_and_jacobian(x)[1], tol=1e-12)
         J = field.value_and_jacobian(found.x)[1]
         singular = np.linalg.svd(J, compute_uv=False)
         small = np.linalg.norm(found.fun) < 1e-6 * singular[0] * half.max()

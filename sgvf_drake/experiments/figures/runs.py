@@ -1,7 +1,6 @@
-"""The figures that the commands leave behind, each from one result."""
+"""The figures of training, following and flying."""
 
-from pathlib import Path
-
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 import numpy as np
 import pandas as pd
@@ -14,8 +13,8 @@ from sgvf_drake.metrics import FollowMetrics
 from sgvf_drake.paths import PointCloud
 
 
-def training_figure(field: GuidingField, history: pd.DataFrame, path: Path) -> None:
-    """Saves the field with its waypoints beside the losses (paper, Fig. 2)."""
+def training_figure(field: GuidingField, history: pd.DataFrame) -> Figure:
+    """Returns the field with its waypoints beside the losses (paper, Fig. 2)."""
     stages = list(history.groupby("stage", sort=False))
     planar = field.dim == 2
     columns = len(stages) + planar
@@ -26,11 +25,11 @@ def training_figure(field: GuidingField, history: pd.DataFrame, path: Path) -> N
         plotting.plane_axes(axes[0], "unit of the waypoints", "guiding field")
     for stage_axes, (_, losses) in zip(axes[planar:], stages, strict=True):
         plotting.plot_losses(stage_axes, losses)
-    figure.savefig(path, dpi=plotting.DPI)
+    return figure
 
 
-def follow_figure(field: GuidingField, result: FollowResult, path: Path) -> None:
-    """Saves trajectories over the field, and the cross-track error over time."""
+def follow_figure(field: GuidingField, result: FollowResult) -> Figure:
+    """Returns trajectories over the field, and the cross-track error over time."""
     figure, axes = plotting.new_figure(1, 2, 11, 5.2)
     if field.dim == 2:
         plotting.plot_field(axes[0], field, field.cloud.box)
@@ -42,7 +41,7 @@ def follow_figure(field: GuidingField, result: FollowResult, path: Path) -> None
     plotting.plot_cross_track(
         axes[1], result.times, result.errors, "unit of the waypoints", "s at unit speed"
     )
-    figure.savefig(path, dpi=plotting.DPI)
+    return figure
 
 
 def _aim(metrics: FollowMetrics) -> str:
@@ -53,9 +52,9 @@ def _aim(metrics: FollowMetrics) -> str:
 
 
 def flight_figure(
-    field: Field, cloud: PointCloud, flight: PieceFlight, result: FlightResult, path: Path
-) -> None:
-    """Saves one flight: trajectory, error, velocity and propeller forces (paper, Fig. 3).
+    field: Field, cloud: PointCloud, flight: PieceFlight, result: FlightResult
+) -> Figure:
+    """Returns one flight: trajectory, error, velocity and propeller forces (paper, Fig. 3).
 
     `field` is the field as it was flown; see `systems.FieldForSpeed`.
     """
@@ -73,7 +72,7 @@ def flight_figure(
     plotting.plot_cross_track(axes[1], log["time"].to_numpy(), errors, "m")
     plotting.plot_velocity(axes[2], log)
     plotting.plot_propeller_forces(axes[3], log, result.parameters.max_propeller_force)
-    figure.savefig(path, dpi=plotting.DPI)
+    return figure
 
 
 def trajectory_table(result: FollowResult) -> pd.DataFrame:
