@@ -8,7 +8,7 @@ import pytest
 
 FOLDER = Path(__file__).parents[1] / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
-PUBLIC = ("sgvf_drake", "systems", "pydrake", "numpy", "pandas", "matplotlib")
+PUBLIC = ("dataclasses", "sgvf_drake", "systems", "pydrake", "numpy", "pandas", "matplotlib")
 TIMEOUT_S = 300
 
 

@@ -8,6 +8,7 @@ import json
 import re
 from types import SimpleNamespace
 
+from matplotlib.figure import Figure
 import numpy as np
 import pandas as pd
 import pytest
@@ -406,7 +407,7 @@ class Work:
         self.done.append(case.seed)
         figures = dict.fromkeys(running.MEASURES, 0.5) | {"restarts": 0, "num_points": 9}
         row = {**running._labels(case), **figures, **GOOD, "failure": None}
-        running._write(case, row, folder, {}, lambda path: path.write_bytes(b"figure"))
+        running._write(case, row, folder, {}, Figure(figsize=(1, 1)))
         return row
 
 
