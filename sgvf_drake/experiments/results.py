@@ -15,6 +15,7 @@ import numpy as np
 
 from sgvf_drake import plotting
 from sgvf_drake.exceptions import ConfigurationError, OutputExistsError
+from sgvf_drake.fields import GuidingField
 
 SUMMARY = "summary.json"
 
@@ -79,6 +80,11 @@ def _move(source: Path, target: Path) -> None:
 def save_figure(figure: Figure, path: Path) -> None:
     """Writes a figure as a picture."""
     figure.savefig(path, dpi=plotting.DPI)
+
+
+def origin(field: GuidingField) -> dict[str, Any]:
+    """Returns what a field comes from, by the names of `summary.json`."""
+    return {"recipe": field.recipe, "seed": field.seed, "digest": field.cloud.digest}
 
 
 def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:

@@ -9,7 +9,13 @@ from sgvf_drake.experiments import figures
 from sgvf_drake.experiments.fly import fly
 from sgvf_drake.experiments.follow import follow
 from sgvf_drake.experiments.reference import choose_reference
-from sgvf_drake.experiments.results import SUMMARY, result_folder, save_figure, write_summary
+from sgvf_drake.experiments.results import (
+    SUMMARY,
+    origin,
+    result_folder,
+    save_figure,
+    write_summary,
+)
 from sgvf_drake.fields import GuidingField, load_field
 from sgvf_drake.paths import PointCloud, Reference
 from sgvf_drake.progress import Progress, no_progress
@@ -139,7 +145,7 @@ def run_follow(
         figures.trajectory_table(result).to_parquet(folder / "trajectories.parquet")
         save_figure(figures.follow_figure(field, result), folder / "follow.png")
         unit = {"unit_length": field.cloud.unit_length, "reference": kind}
-        summary = {**result.summary(), **unit, **_origin(field)}
+        summary = {**result.summary(), **unit, **origin(field)}
         write_summary(folder, summary)
     return summary
 
@@ -181,10 +187,6 @@ def run_fly(
             flight.log.to_parquet(stem.with_suffix(".parquet"))
             figure = figures.flight_figure(flown, field.cloud, flight, result)
             save_figure(figure, stem.with_suffix(".png"))
-        summary = {**result.summary(), "reference": kind, **_origin(field)}
+        summary = {**result.summary(), "reference": kind, **origin(field)}
         write_summary(folder, summary)
     return summary
-
-
-def _origin(field: GuidingField) -> dict[str, Any]:
-    return {"recipe": field.recipe, "seed": field.seed, "digest": field.cloud.digest}

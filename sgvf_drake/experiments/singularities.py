@@ -9,7 +9,13 @@ import pandas as pd
 
 from sgvf_drake.experiments.figures.singularities import log_density_figure, singularity_figure
 from sgvf_drake.experiments.reference import choose_reference
-from sgvf_drake.experiments.results import SUMMARY, result_folder, save_figure, write_summary
+from sgvf_drake.experiments.results import (
+    SUMMARY,
+    origin,
+    result_folder,
+    save_figure,
+    write_summary,
+)
 from sgvf_drake.fields import GuidingField
 from sgvf_drake.lyapunov import (
     Singularities,
@@ -63,9 +69,7 @@ def run_singularities(
             "time_s": elapsed,
             "unit_length": field.cloud.unit_length,
             "reference": kind,
-            "recipe": field.recipe,
-            "seed": field.seed,
-            "digest": field.cloud.digest,
+            **origin(field),
         }
         write_summary(folder, summary)
     return summary

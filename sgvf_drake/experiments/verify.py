@@ -13,7 +13,13 @@ from sgvf_drake.experiments.figures.theorem import theorem_figure
 from sgvf_drake.experiments.figures.tracking import tracking_figure
 from sgvf_drake.experiments.figures.verification import verification_figure
 from sgvf_drake.experiments.reference import choose_reference
-from sgvf_drake.experiments.results import SUMMARY, result_folder, save_figure, write_summary
+from sgvf_drake.experiments.results import (
+    SUMMARY,
+    origin,
+    result_folder,
+    save_figure,
+    write_summary,
+)
 from sgvf_drake.experiments.theorem import (
     DecreaseCheck,
     LevelSetCheck,
@@ -110,9 +116,7 @@ def run_verify(
             "time_s": time.perf_counter() - begin,
             "unit_length": field.cloud.unit_length,
             "reference": kind,
-            "recipe": field.recipe,
-            "seed": field.seed,
-            "digest": field.cloud.digest,
+            **origin(field),
         }
         write_summary(folder, summary)
     return summary

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sgvf_drake.arrays import BoolArray, FloatArray
-from sgvf_drake.lyapunov.conditions import cosine
+from sgvf_drake.fields.vectors import cosine
 from sgvf_drake.lyapunov.function import LyapunovFunction
 from sgvf_drake.lyapunov.samples import Samples
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from sgvf_drake.arrays import BoolArray, FloatArray
 from sgvf_drake.fields import GuidingField, ScoreField, TangentField
+from sgvf_drake.fields.vectors import cosine, curl_share
 from sgvf_drake.lyapunov.function import LyapunovFunction
 from sgvf_drake.lyapunov.samples import Samples
 
@@ -138,11 +139,10 @@ def check_assumptions(
     at = rng.choice(len(x), min(JACOBIAN_SAMPLES, len(x)), replace=False)
     J_S = ScoreField(field).value_and_jacobian(x[at])[1]
     gradient, hessian = function.gradient_and_hessian(x[at])
-    turning = np.linalg.norm(J_S - np.swapaxes(J_S, 1, 2), axis=(1, 2)) / np.sqrt(2)
     return Assumptions(
         score_lipschitz=float(np.linalg.norm(J_S, ord=2, axis=(1, 2)).max()),
         exact_lipschitz=float(np.linalg.norm(hessian, ord=2, axis=(1, 2)).max()),
-        score_curl=float(np.median(turning / np.linalg.norm(J_S, axis=(1, 2)))),
+        score_curl=float(np.median(curl_share(J_S))),
         cosine=Spread.of(np.abs(cosine(s, v)), x),
         network_cosine=Spread.of(np.abs(cosine(field.score(x), field.tangent(x))), x),
         gradient_cosine=Spread.of(np.abs(cosine(function.gradient(x), v)), x),
@@ -164,12 +164,6 @@ def check_lemma(function: LyapunovFunction, samples: Samples) -> Lemma:
         sign_agreement=float(((paper < 0) == (V_dot < 0)).mean()),
         rise=Spread.of(V_dot, x),
     )
-
-
-def cosine(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Returns the cosines between vectors, (n, d), (n, d) -> (n,); 0 where one is zero."""
-    norms = np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1)
-    return np.asarray((a * b).sum(axis=1) / np.maximum(norms, np.finfo(np.float64).tiny))
 
 
 def _along_level_sets(field: GuidingField, x: FloatArray, gradient: FloatArray) -> Spread:

@@ -8,6 +8,7 @@ import numpy as np
 from sgvf_drake.arrays import FloatArray
 from sgvf_drake.experiments.follow import FollowResult
 from sgvf_drake.fields import GuidingField
+from sgvf_drake.fields.vectors import cosine, curl_share
 from sgvf_drake.paths import ReferencePath
 
 # Where the learned score is compared with the exact one: distances from the path, U.
@@ -71,15 +72,14 @@ def measure_score(field: GuidingField, reference: ReferencePath, seed: int) -> R
     oracle = field.mixture
     x = _near_path(field, reference, rng)
     S = field.score(x)
-    cosine = _cosine(S, oracle.score(x))
+    agreement = cosine(S, oracle.score(x))
     J = field.score_model.score_and_jacobian(field.cloud.normalize(x))[1]
-    turning = np.linalg.norm(J - np.swapaxes(J, 1, 2), axis=(1, 2)) / np.sqrt(2)
     return {
-        "score_cosine": float(cosine.mean()),
-        "score_cosine_p5": float(np.quantile(cosine, LOW_PERCENTILE)),
+        "score_cosine": float(agreement.mean()),
+        "score_cosine_p5": float(np.quantile(agreement, LOW_PERCENTILE)),
         "score_bias_u": _bias(field, reference),
-        "score_curl": float(np.median(turning / np.linalg.norm(J, axis=(1, 2)))),
-        "orthogonality": float(np.abs(_cosine(S, field.tangent(x))).mean()),
+        "score_curl": float(np.median(curl_share(J))),
+        "orthogonality": float(np.abs(cosine(S, field.tangent(x))).mean()),
     }
 
 
@@ -109,12 +109,6 @@ def _on_path(reference: ReferencePath, count: int) -> FloatArray:
     shares = np.ceil(count * reference.lengths / reference.lengths.sum()).astype(int)
     pairs = zip(reference.pieces, shares, strict=True)
     return np.concatenate([piece.sample(int(share)) for piece, share in pairs])
-
-
-def _cosine(a: FloatArray, b: FloatArray) -> FloatArray:
-    norms = np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1)
-    # Where one of them is zero there is no angle; it counts as a right one.
-    return np.asarray((a * b).sum(axis=1) / np.maximum(norms, np.finfo(np.float64).tiny))
 
 
 def failure(row: Mapping[str, Any]) -> str | None:

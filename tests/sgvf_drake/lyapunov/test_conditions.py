@@ -13,7 +13,7 @@ from sgvf_drake.lyapunov import (
     robustness_bounds,
     take_samples,
 )
-from sgvf_drake.lyapunov.conditions import Spread, cosine
+from sgvf_drake.lyapunov.conditions import Spread
 
 GRID = 81
 QUARTER_TURN = np.array([[0.0, -0.25], [0.25, 0.0]])
@@ -166,12 +166,6 @@ def test_a_bound_promises_a_decrease_where_the_score_outweighs_the_error():
     # eps |v| = 0.6: less than 0.9, more than 0.1; the printed form asks only for less than 1.
     np.testing.assert_array_equal(squashed.decreases, [True, False])
     np.testing.assert_array_equal(paper.decreases, [True, True])
-
-
-def test_cosines():
-    a = np.array([[1.0, 0.0], [0.0, 0.0], [3.0, 4.0]])
-    b = np.array([[1.0, 1.0], [1.0, 0.0], [-3.0, -4.0]])
-    np.testing.assert_allclose(cosine(a, b), [np.sqrt(0.5), 0.0, -1.0])
 
 
 def test_a_spread_names_its_worst_point():

@@ -1,0 +1,32 @@
+"""How the tests of commands run them, and what each has to say to bad input."""
+
+import pytest
+
+from sgvf_drake.cli import main
+
+
+def run_command(*arguments):
+    with pytest.raises(SystemExit) as end:
+        main([str(argument) for argument in arguments])
+    return end.value.code or 0
+
+
+@pytest.fixture(scope="session")
+def run():
+    """Runs a command in this process; returns its exit status."""
+    return run_command
+
+
+@pytest.fixture
+def refused(capsys):
+    """Runs a command that has to end with status 2 and one line; returns the line."""
+
+    def check(*arguments):
+        assert run_command(*arguments) == 2
+        printed = capsys.readouterr()
+        assert printed.out == ""
+        assert printed.err.startswith("error: ")
+        assert printed.err.count("\n") == 1, printed.err
+        return printed.err
+
+    return check
