@@ -5,18 +5,17 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy import ndimage
 
-from sgvf_drake.arrays import FloatArray, IntArray
+from sgvf_drake.arrays import FloatArray
 from sgvf_drake.fields import GuidingField
+from sgvf_drake.lyapunov.critical import critical_levels
 from sgvf_drake.lyapunov.function import LyapunovFunction
 from sgvf_drake.lyapunov.samples import Samples
+from sgvf_drake.lyapunov.scan import Scan
 from sgvf_drake.lyapunov.sublevel import SublevelSet, sublevel_set
 from sgvf_drake.paths import Reference
 from sgvf_drake.progress import Progress, no_progress
 
-# V has to fall by more than this in every U of travel (at |m| = 1).
-MIN_DECREASE = 0.01
 # The noise levels of V that are tried, in those of the field.
 SIGMA_RATIOS = (0.7, 1.0, 1.4, 2.0, 2.8)
 # Bands with at least this share of the largest area are as good; of these, the thinnest tube.
@@ -27,18 +26,6 @@ LEVEL_MARGIN = 0.05
 LEVEL_FLOOR = 0.03
 # A band narrower than this (V is a logarithm) is an accident of the sampling.
 MIN_BAND = 0.5
-# So many samples on each of so many levels of a band are followed to worse places, by steps
-# of half a noise level that shrink to a hundredth of it.
-CLIMBERS = 20
-CLIMB_LEVELS = 24
-CLIMB_STEPS = 20
-CLIMB_SHRINK = 0.82
-# Newton steps from the smallest gradients of the grid to the critical points of V, where
-# |grad V| sigma is below the second number; Hessians of a smaller determinant, times
-# sigma^4, are singular.
-NEWTON_STEPS = 20
-CRITICAL = 1e-6
-SINGULAR = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +105,7 @@ def find_band(
     The lowest, since past a critical level of V nothing follows for the tube below it.
     """
     rng = np.random.default_rng(seed)
-    scan = _Scan.of(field, function, samples)
+    scan = Scan.of(field, function, samples)
     slope = np.linalg.norm(samples.as_grid(scan.gradient), axis=2)
     bad = np.append(scan.bad_levels, critical_levels(function, samples, slope))
     lowest = 0.0
@@ -128,10 +115,10 @@ def find_band(
         if len(worse):
             bad = np.append(bad, worse)
             continue
-        c_in, c_out = gap
-        box = field.cloud.box
+        (c_in, c_out), box = gap, field.cloud.box
         tube = sublevel_set(function, c_in, reference, box)
-        if tube.follows(reference.closed):
+        # A band without a sample says nothing.
+        if len(V) and tube.follows(reference.closed):
             decrease = -float(V_dot.max())
             return Band(function, c_in, c_out, decrease, tube, reference, box)
         lowest = c_out
@@ -145,109 +132,3 @@ def _first_gap(bad: FloatArray, border: float, lowest: float) -> tuple[float, fl
     c_out = (1 - LEVEL_MARGIN) * np.append(levels, border)
     wide = np.flatnonzero((c_out - c_in >= MIN_BAND) & (c_in > lowest))
     return (float(c_in[wide[0]]), float(c_out[wide[0]])) if len(wide) else None
-
-
-@dataclass(frozen=True, eq=False)
-class _Scan:
-    """V, its gradient and V_dot at the samples of a field.
-
-    Attributes:
-        min_decrease: What V has to fall by, per unit of length.
-        border_level: The smallest V on the border of the box.
-    """
-
-    field: GuidingField
-    function: LyapunovFunction
-    x: FloatArray
-    V: FloatArray
-    gradient: FloatArray
-    V_dot: FloatArray
-    min_decrease: float
-    border_level: float
-
-    @classmethod
-    def of(cls, field: GuidingField, function: LyapunovFunction, samples: Samples) -> "_Scan":
-        V, gradient = function.value_and_gradient(samples.x)
-        grid = samples.as_grid(V)
-        border = min(grid[0].min(), grid[-1].min(), grid[:, 0].min(), grid[:, -1].min())
-        V_dot = (gradient * samples.m).sum(axis=1)
-        min_decrease = MIN_DECREASE / field.cloud.unit_length
-        return cls(field, function, samples.x, V, gradient, V_dot, min_decrease, float(border))
-
-    @property
-    def bad_levels(self) -> FloatArray:
-        """The levels at which V was seen not to fall."""
-        return self.V[self.V_dot > -self.min_decrease]
-
-    def climb(
-        self, c_in: float, c_out: float, rng: np.random.Generator
-    ) -> tuple[FloatArray, FloatArray]:
-        """Returns V and V_dot at points of a band where m flows in least, (k,) each.
-
-        On levels all over the band, the samples with the smallest inward normal speed are
-        pushed to where it is smaller still, by trial: what lies between them is to be found.
-        """
-        x, V, gradient, V_dot = (
-            values[self._weakest(c_in, c_out)]
-            for values in (self.x, self.V, self.gradient, self.V_dot)
-        )
-        outward = V_dot / _norm(gradient)
-        step = 0.5 * self.function.sigma
-        for _ in range(CLIMB_STEPS):
-            trial = x + step * rng.standard_normal(x.shape)
-            trial_V, gradient = self.function.value_and_gradient(trial)
-            trial_V_dot = (gradient * self.field(trial)).sum(axis=1)
-            trial_outward = trial_V_dot / _norm(gradient)
-            better = (trial_outward > outward) & (c_in <= trial_V) & (trial_V <= c_out)
-            x = np.where(better[:, None], trial, x)
-            V, V_dot, outward = (
-                np.where(better, new, old)
-                for new, old in (
-                    (trial_V, V),
-                    (trial_V_dot, V_dot),
-                    (trial_outward, outward),
-                )
-            )
-            step *= CLIMB_SHRINK
-        return V, V_dot
-
-    def _weakest(self, c_in: float, c_out: float) -> IntArray:
-        """Returns the samples with the smallest inward speed on the levels of a band."""
-        inside = np.flatnonzero((c_in <= self.V) & (c_out >= self.V))
-        edges = np.geomspace(c_in, c_out, CLIMB_LEVELS + 1)[1:-1]
-        level = np.digitize(self.V[inside], edges)
-        outward = self.V_dot[inside] / _norm(self.gradient[inside])
-        order = np.lexsort((-outward, level))
-        # How many samples of its level come before each.
-        first = np.searchsorted(level[order], level[order])
-        return inside[order[np.arange(len(order)) - first < CLIMBERS]]
-
-
-def _norm(gradient: FloatArray) -> FloatArray:
-    return np.maximum(np.linalg.norm(gradient, axis=1), np.finfo(np.float64).tiny)
-
-
-def critical_levels(
-    function: LyapunovFunction, samples: Samples, slope: FloatArray
-) -> FloatArray:
-    """Returns the levels of the critical points of V in the box, at which V_dot is zero.
-
-    They are found from the local minima of |grad V| on the grid by Newton's method; V falls
-    fast so near to them that samples miss them.
-
-    Args:
-        function: V.
-        samples: Whose grid is searched.
-        slope: |grad V| on that grid, (ky, kx).
-    """
-    lowest = slope == ndimage.minimum_filter(slope, size=3)
-    x = samples.x[samples.on_grid][lowest.ravel()]
-    for _ in range(NEWTON_STEPS):
-        gradient, hessian = function.gradient_and_hessian(x)
-        regular = np.abs(np.linalg.det(hessian)) > SINGULAR / function.sigma**4
-        x, gradient, hessian = x[regular], gradient[regular], hessian[regular]
-        x = x - np.linalg.solve(hessian, gradient[:, :, None])[:, :, 0]
-    found = np.linalg.norm(function.gradient(x), axis=1) < CRITICAL / function.sigma
-    lower, upper = samples.corners
-    inside = ((lower <= x) & (x <= upper)).all(axis=1)
-    return function(x[found & inside])

@@ -9,9 +9,10 @@ from scipy import ndimage
 
 from sgvf_drake.arrays import BoolArray, FloatArray
 from sgvf_drake.fields import GuidingField
-from sgvf_drake.lyapunov.band import MIN_DECREASE, Band
+from sgvf_drake.lyapunov.band import Band
 from sgvf_drake.lyapunov.function import LyapunovFunction
 from sgvf_drake.lyapunov.samples import Samples
+from sgvf_drake.lyapunov.scan import MIN_DECREASE
 from sgvf_drake.lyapunov.singularities import Zero
 from sgvf_drake.paths import Reference
 

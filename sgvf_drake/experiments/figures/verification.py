@@ -15,8 +15,8 @@ from sgvf_drake import plotting
 from sgvf_drake.arrays import FloatArray
 from sgvf_drake.fields import Field, GuidingField
 from sgvf_drake.lyapunov import LyapunovFunction, Verification, Violation
-from sgvf_drake.lyapunov.band import MIN_DECREASE
 from sgvf_drake.lyapunov.bounds import NEARLY as BOUND_NEARLY
+from sgvf_drake.lyapunov.scan import MIN_DECREASE
 
 # The states of a point of the map: outside of the band and V falls, in the band, in the tube,
 # and V does not fall.

@@ -16,7 +16,9 @@ from sgvf_drake.lyapunov import (
     take_samples,
     to_level_set,
 )
-from sgvf_drake.lyapunov.band import LEVEL_MARGIN, MIN_DECREASE, critical_levels
+from sgvf_drake.lyapunov.band import LEVEL_MARGIN
+from sgvf_drake.lyapunov.critical import critical_levels
+from sgvf_drake.lyapunov.scan import MIN_DECREASE
 
 GAIN, SIGMA = 0.2, 0.1
 GRID = 121
