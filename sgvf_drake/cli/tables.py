@@ -207,7 +207,11 @@ def print_verification(summary: Mapping[str, Any]) -> None:
                 f"half-width {summary['tube_half_width'] / U:.3g} U, "
                 f"{summary['area_fraction']:.0%} of the box"
             ),
-            "tolerated disturbance": f"{summary['e_star_max']:.3g} of the speed",
+            "tolerated disturbance": (
+                f"{summary['e_star_min']:.3g} to {summary['e_star_max']:.3g} of the speed, "
+                "by the level"
+            ),
+            "followed": _followed(summary["theorem"]["decrease"]),
         }
     for name, bound in summary["bounds"].items():
         rows[f"bound, {name}"] = f"holds on {bound['holds_fraction']:.1%} of the box"
@@ -216,9 +220,19 @@ def print_verification(summary: Mapping[str, Any]) -> None:
     print_table("Verification", rows)
 
 
+def _followed(decrease: Mapping[str, Any]) -> str:
+    if decrease["exit"] is not None:
+        return str(decrease["exit"])
+    entered, stayed = decrease["entered_fraction"], decrease["stayed_fraction"]
+    return f"of {decrease['starts']} starts {entered:.0%} enter the tube, {stayed:.0%} stay"
+
+
 def _tracking(flight: Mapping[str, Any]) -> str:
     if flight["band"] is None:
         return "V decreases on no band along the field as it is flown"
+    exits = [piece["exit"] for piece in flight["pieces"] if piece["exit"] is not None]
+    if exits:
+        return str(exits[0])
     error, tolerated = flight["tracking_error_max_m_s"], flight["tolerated_error_m_s"]
     if error is None:
         return "not every flight settled in the tube"

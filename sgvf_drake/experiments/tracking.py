@@ -183,6 +183,11 @@ def flight_tracking(
             f"the level must be at least c_in = {c_in:g}, and one of those whose margin is "
             f"known, {lowest:g} to {highest:g}, not {level:g}"
         )
+    pieces = flown_pieces(reference, field.cloud.unit_length)
+    if not pieces:
+        raise ConfigurationError(
+            f"nothing to fly: the longest piece is only {reference.longest:g} m long"
+        )
     parameters = parameters or QuadrotorParameters()
     diagram = MakeFlightDiagram(
         field,
@@ -196,7 +201,7 @@ def flight_tracking(
     feasibility = check_feasibility(field, reference, speed, parameters)
     flown, unit = FieldForSpeed(field, speed), field.cloud.unit_length
     flights = []
-    for piece in flown_pieces(reference, unit):
+    for piece in pieces:
         start = hover_start(reference, piece, unit, altitude, field.ends)
         duration = flight_duration(reference, piece, unit, speed, laps)
         with lost_control_named(piece, speed, feasibility):

@@ -105,6 +105,7 @@ def run_verify(
             save_figure(theorem_figure(*checks), folder / "theorem.png")
             summary["theorem"] = theorem_summary(*checks)
             remained = summary["theorem"]["decrease"]["stayed_fraction"]
+            summary |= _in_view_of(checks[0], summary)
         summary["assumptions"]["a3"] = {
             "compact": summary["compact"],
             "inward": found.margins and bool(found.margins.e_star.min() > 0),
@@ -133,7 +134,7 @@ def verification_summary(field: GuidingField, found: Verification) -> dict[str, 
         "sigma": found.function.sigma,
         "c_in": band and band.c_in,
         "c_out": band and band.c_out,
-        "alpha": band and band.decrease,
+        "alpha": found.alpha,
         "delta": found.slowest,
         "tube_half_width": band and band.tube.half_width,
         "area_fraction": band and band.basin.area / float(np.prod(upper - lower)),
@@ -142,8 +143,10 @@ def verification_summary(field: GuidingField, found: Verification) -> dict[str, 
         "components": band
         and [{"pieces": c.pieces, "holes": c.holes} for c in band.tube.components],
         "e_star_max": margins and margins.largest,
+        "e_star_min": margins and float(margins.e_star.min()),
         "e_star": margins
         and {"levels": margins.levels, "e_star": margins.e_star, "weakest": margins.weakest},
+        "undecided": found.zeros.undecided,
         "violations": [
             {
                 "kind": violation.kind,
@@ -185,8 +188,9 @@ def check_theorem(
     function, c_in, c_out = found.function, found.band.c_in, found.band.c_out
     grid = grid_starts(field.cloud.box, starts, field.dim)
     inside = grid[function(grid) <= c_out]
-    # A coarse grid may miss a thin basin; waypoints lie in it.
-    first = inside if len(inside) else function.mixture.points[:1]
+    # A coarse grid may miss a thin basin; the lowest waypoint lies in it.
+    points = function.mixture.points
+    first = inside if len(inside) else points[[np.argmin(function(points))]]
     longest = reference.longest
     duration = default_duration(reference, field.cloud.unit_length)
     decrease = check_decrease(
@@ -208,6 +212,16 @@ def theorem_summary(
         "level_sets": level_sets.summary(),
         "modes": modes.summary(),
     }
+
+
+def _in_view_of(check: DecreaseCheck, summary: dict[str, Any]) -> dict[str, Any]:
+    """Returns the verdict as the trajectories leave it: one that leaves the set ends it."""
+    found = check.summary()
+    if found["entered_fraction"] == found["stayed_fraction"] == 1.0:
+        return {}
+    seen = found["exit"] or "not every agent entered the tube and stayed there"
+    reasons = [seen] if summary["holds"] else [summary["reason"], seen]
+    return {"holds": False, "reason": "; ".join(reasons)}
 
 
 def _fly(

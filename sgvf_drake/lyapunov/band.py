@@ -26,6 +26,8 @@ LEVEL_MARGIN = 0.05
 LEVEL_FLOOR = 0.03
 # A band narrower than this (V is a logarithm) is an accident of the sampling.
 MIN_BAND = 0.5
+# A tube that reaches farther from the path than so many U does not lead along it.
+MAX_HALF_WIDTH = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +69,7 @@ def search_band(
     reference: Reference,
     ratios: Sequence[float] = SIGMA_RATIOS,
     seed: int = 0,
+    stops: FloatArray | None = None,
     progress: Progress = no_progress,
 ) -> Band | None:
     """Returns a band with a large area and a thin tube, over several noise levels of V.
@@ -80,12 +83,13 @@ def search_band(
         reference: The path.
         ratios: The noise levels to try, in those of the field.
         seed: Of the search for worse points.
+        stops: Where m vanishes, (k, 2): V falls on none of these levels; samples miss them.
         progress: Told how far it is.
     """
     bands = []
     for number, ratio in enumerate(ratios):
         function = LyapunovFunction.of(field, ratio * field.mixture.sigma)
-        band = find_band(field, function, samples, reference, seed)
+        band = find_band(field, function, samples, reference, seed, stops)
         bands += [band] if band is not None else []
         progress("band", number + 1, len(ratios))
     largest = max((band.area for band in bands), default=0.0)
@@ -99,6 +103,7 @@ def find_band(
     samples: Samples,
     reference: Reference,
     seed: int = 0,
+    stops: FloatArray | None = None,
 ) -> Band | None:
     """Returns the lowest band of levels on which V decreases; see `search_band`.
 
@@ -108,6 +113,9 @@ def find_band(
     scan = Scan.of(field, function, samples)
     slope = np.linalg.norm(samples.as_grid(scan.gradient), axis=2)
     bad = np.append(scan.bad_levels, critical_levels(function, samples, slope))
+    if stops is not None:
+        bad = np.append(bad, function(stops))
+    widest = MAX_HALF_WIDTH * field.cloud.unit_length
     lowest = 0.0
     while (gap := _first_gap(bad, scan.border_level, lowest)) is not None:
         V, V_dot = scan.climb(*gap, rng)
@@ -118,8 +126,8 @@ def find_band(
         (c_in, c_out), box = gap, field.cloud.box
         tube = sublevel_set(function, c_in, reference, box)
         # A band without a sample says nothing.
-        if len(V) and tube.follows(reference.closed):
-            decrease = -float(V_dot.max())
+        if len(V) and tube.follows(reference.closed) and tube.half_width <= widest:
+            decrease = min(scan.smallest_decrease(c_in, c_out), -float(V_dot.max()))
             return Band(function, c_in, c_out, decrease, tube, reference, box)
         lowest = c_out
     return None

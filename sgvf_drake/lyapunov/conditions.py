@@ -55,7 +55,7 @@ class Assumptions:
     Attributes:
         score_lipschitz: (A1) Largest |J_S| of the learned score, per unit of length squared.
         exact_lipschitz: The same of the exact score, which is grad log P of a density.
-        score_curl: Median share of the antisymmetric part in J_S: zero for a gradient.
+        score_curl: Median of |curl S| / |J_S|: zero for a gradient.
         cosine: (A2 i) |cos(s, v)| of the parts of m = s + v.
         network_cosine: |cos(S, v)| of the raw score and the tangent, before they are put
             together.
@@ -63,9 +63,8 @@ class Assumptions:
         length: (A2 ii) | |m| - 1 |.
         along_level_sets: (A2 iii) Largest |J_v tau| with tau along the level set, per unit of
             length: the local Lipschitz constant L.
-        between_points: The largest |v(x) - v(y)| / |x - y| over pairs on one level set, which
-            may lie across from each other; never above L along a convex set, but above it
-            between strands.
+        between_points: The largest |v(x) - v(y)| / |x - y| over pairs of points of the grid
+            whose V is nearly the same, also across from each other and between strands.
     """
 
     score_lipschitz: float
@@ -116,8 +115,8 @@ class Lemma:
         """Returns it by the names of `summary.json`."""
         return {
             "paper_error": self.paper_error.summary(),
-            "paper_decrease_fraction": self.paper_share,
-            "decrease_fraction": self.true_share,
+            "paper_falling_fraction": self.paper_share,
+            "falling_fraction": self.true_share,
             "sign_agreement": self.sign_agreement,
             "v_dot": self.rise.summary(),
         }

@@ -9,9 +9,15 @@ from sgvf_drake.fields import Field, GaussianMixture, GuidingField
 
 # Fixed-point iterations of the mean shift from every point to its mode; each is a step of
 # expectation maximisation, so the density only rises.
-MODE_ITERATIONS = 500
+MODE_ITERATIONS = 100
 # A mode is found when a step is this much shorter than the noise level.
 MODE_TOLERANCE = 1e-9
+# Steps of Newton's method that follow, the longest in noise levels, and the least curvature
+# that it reckons with; and what slope is zero.  The last three are in noise levels.
+NEWTON_STEPS = 30
+LONGEST = 0.25
+FLATTEST = 1e-12
+STATIONARY = 1e-8
 # The global modes are searched from so many points, those that are highest after a few steps
 # from every waypoint: which waypoint is the highest by itself says little at a low noise.
 MODE_STARTS = 64
@@ -90,10 +96,11 @@ class LyapunovFunction:
 
 
 def find_modes(mixture: GaussianMixture, num_starts: int | None = None) -> FloatArray:
-    """Returns local maxima of the density of a mixture, (k, d), each once.
+    """Returns local maxima of the density of a mixture, (k, d), each once; at least one.
 
     By mean shift, x <- x + sigma^2 S(x), from the waypoints, which cannot overshoot (Cheng,
-    IEEE PAMI 1995).  On a ridge that is flat to rounding, it stops where it is.
+    IEEE PAMI 1995), and then by Newton's method, since mean shift crawls along a ridge.  Of a
+    ridge that is flat to rounding, the highest point is all that is returned.
 
     Args:
         mixture: The mixture.
@@ -103,7 +110,27 @@ def find_modes(mixture: GaussianMixture, num_starts: int | None = None) -> Float
     x = _mean_shift(mixture, mixture.points, FIRST_ITERATIONS)
     if num_starts is not None:
         x = x[np.argsort(-mixture.log_density(x), kind="stable")[:num_starts]]
-    return _distinct(_mean_shift(mixture, x, MODE_ITERATIONS), 1e-3 * mixture.sigma)
+    x = _newton(mixture, _mean_shift(mixture, x, MODE_ITERATIONS))
+    score, jacobian = mixture.score_and_jacobian(x)
+    # In noise levels: the slope is zero, and the density is highest in every direction.
+    is_mode = np.linalg.norm(score, axis=1) * mixture.sigma <= STATIONARY
+    is_mode &= np.linalg.eigvalsh(jacobian).max(axis=1) * mixture.sigma**2 < 0
+    highest = x[[np.argmax(mixture.log_density(x))]]
+    return _distinct(x[is_mode], 1e-3 * mixture.sigma) if is_mode.any() else highest
+
+
+def _newton(mixture: GaussianMixture, x: FloatArray) -> FloatArray:
+    """Moves points (n, d) to where the score vanishes, by steps that are not long."""
+    for _ in range(NEWTON_STEPS):
+        score, jacobian = mixture.score_and_jacobian(x)
+        # Uphill along every axis of the Hessian, also where it is no maximum yet.
+        values, axes = np.linalg.eigh(jacobian)
+        slope = np.einsum("nij,ni->nj", axes, score)
+        size = np.maximum(np.abs(values), FLATTEST / mixture.sigma**2)
+        step = np.einsum("nij,nj->ni", axes, slope / size)
+        length = np.linalg.norm(step, axis=1, keepdims=True)
+        x = x + step * (LONGEST * mixture.sigma / np.maximum(length, LONGEST * mixture.sigma))
+    return x
 
 
 def _mean_shift(mixture: GaussianMixture, x: FloatArray, iterations: int) -> FloatArray:

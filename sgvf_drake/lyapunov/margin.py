@@ -6,6 +6,7 @@ import numpy as np
 
 from sgvf_drake.arrays import FloatArray
 from sgvf_drake.fields import Field
+from sgvf_drake.fields.vectors import component_along
 from sgvf_drake.lyapunov.function import LyapunovFunction
 from sgvf_drake.lyapunov.samples import Samples
 
@@ -39,11 +40,13 @@ class Margins:
         levels: c, (k,) rising.
         e_star: e*(c), (k,), no unit; negative where the field flows out somewhere.
         weakest: Where on each level set the flow is weakest, (k, d).
+        decrease: -V_dot there, (k,), per unit of length.
     """
 
     levels: FloatArray
     e_star: FloatArray
     weakest: FloatArray
+    decrease: FloatArray
 
     @property
     def largest(self) -> float:
@@ -78,7 +81,7 @@ def inward_margins(
     rng = np.random.default_rng(seed)
     levels = np.geomspace(c_in, c_out, num_levels)
     V, gradient = function.value_and_gradient(samples.x)
-    inward = _inward(gradient, samples.m)
+    inward = -component_along(gradient, samples.m)
     weakest = []
     for level in levels:
         away = np.abs(np.log(np.maximum(V, TINY) / level))
@@ -87,11 +90,9 @@ def inward_margins(
         weak = close[np.argsort(inward[close], kind="stable")[:WEAK_POINTS]]
         x = to_level_set(function, samples.x[np.union1d(near, weak)], level)
         weakest.append(_weakest(field, function, x, level, rng))
-    return Margins(
-        levels=levels,
-        e_star=np.array([speed for speed, _ in weakest]),
-        weakest=np.array([point for _, point in weakest]),
-    )
+    e_star = np.array([speed for speed, _ in weakest])
+    points = np.array([point for _, point in weakest])
+    return Margins(levels, e_star, points, -function.along(field, points))
 
 
 def to_level_set(function: LyapunovFunction, x: FloatArray, level: float) -> FloatArray:
@@ -121,19 +122,15 @@ def _weakest(
     rng: np.random.Generator,
 ) -> tuple[float, FloatArray]:
     """Returns the smallest inward normal speed on a level set, and where it is."""
-    speed = _inward(function.gradient(x), field(x))
+    speed = -component_along(function.gradient(x), field(x))
     step = 0.5 * function.sigma
     for _ in range(CLIMB_STEPS):
         chosen = np.argsort(speed, kind="stable")[:CLIMBERS]
         x, speed = x[chosen], speed[chosen]
         trial = to_level_set(function, x + step * rng.standard_normal(x.shape), level)
         x = np.concatenate([x, trial])
-        speed = np.append(speed, _inward(function.gradient(trial), field(trial)))
+        outward = component_along(function.gradient(trial), field(trial))
+        speed = np.append(speed, -outward)
         step *= CLIMB_SHRINK
     worst = int(np.argmin(speed))
     return float(speed[worst]), x[worst]
-
-
-def _inward(gradient: FloatArray, m: FloatArray) -> FloatArray:
-    norm = np.maximum(np.linalg.norm(gradient, axis=1), TINY)
-    return np.asarray(-(gradient * m).sum(axis=1) / norm)

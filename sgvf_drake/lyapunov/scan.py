@@ -6,6 +6,7 @@ import numpy as np
 
 from sgvf_drake.arrays import FloatArray, IntArray
 from sgvf_drake.fields import GuidingField
+from sgvf_drake.fields.vectors import component_along
 from sgvf_drake.lyapunov.function import LyapunovFunction
 from sgvf_drake.lyapunov.samples import Samples
 
@@ -29,6 +30,7 @@ class Scan:
         x: The samples, (n, d).
         V: V there, (n,).
         gradient: grad V, (n, d).
+        outward: The speed of m along grad V, (n,).
         V_dot: grad V . m, (n,).
         min_decrease: What V has to fall by, per unit of length.
         border_level: The smallest V on the border of the box.
@@ -39,6 +41,7 @@ class Scan:
     x: FloatArray
     V: FloatArray
     gradient: FloatArray
+    outward: FloatArray
     V_dot: FloatArray
     min_decrease: float
     border_level: float
@@ -48,14 +51,30 @@ class Scan:
         V, gradient = function.value_and_gradient(samples.x)
         grid = samples.as_grid(V)
         border = min(grid[0].min(), grid[-1].min(), grid[:, 0].min(), grid[:, -1].min())
+        outward = component_along(gradient, samples.m)
         V_dot = (gradient * samples.m).sum(axis=1)
         min_decrease = MIN_DECREASE / field.cloud.unit_length
-        return cls(field, function, samples.x, V, gradient, V_dot, min_decrease, float(border))
+        return cls(
+            field,
+            function,
+            samples.x,
+            V,
+            gradient,
+            outward,
+            V_dot,
+            min_decrease,
+            float(border),
+        )
 
     @property
     def bad_levels(self) -> FloatArray:
         """The levels at which V was seen not to fall."""
         return self.V[self.V_dot > -self.min_decrease]
+
+    def smallest_decrease(self, c_in: float, c_out: float) -> float:
+        """Returns the smallest -V_dot at the samples of a band; infinite where it has none."""
+        inside = (c_in <= self.V) & (c_out >= self.V)
+        return -float(self.V_dot[inside].max(initial=-np.inf))
 
     def climb(
         self, c_in: float, c_out: float, rng: np.random.Generator
@@ -67,13 +86,14 @@ class Scan:
         """
         weakest = self._weakest(c_in, c_out)
         x, V, V_dot = self.x[weakest], self.V[weakest], self.V_dot[weakest]
-        outward = V_dot / _norm(self.gradient[weakest])
+        outward = self.outward[weakest]
         step = 0.5 * self.function.sigma
         for _ in range(CLIMB_STEPS):
             trial = x + step * rng.standard_normal(x.shape)
             trial_V, gradient = self.function.value_and_gradient(trial)
-            trial_V_dot = (gradient * self.field(trial)).sum(axis=1)
-            trial_outward = trial_V_dot / _norm(gradient)
+            trial_m = self.field(trial)
+            trial_V_dot = (gradient * trial_m).sum(axis=1)
+            trial_outward = component_along(gradient, trial_m)
             better = (trial_outward > outward) & (c_in <= trial_V) & (trial_V <= c_out)
             x = np.where(better[:, None], trial, x)
             V, V_dot, outward = (
@@ -92,12 +112,8 @@ class Scan:
         inside = np.flatnonzero((c_in <= self.V) & (c_out >= self.V))
         edges = np.geomspace(c_in, c_out, CLIMB_LEVELS + 1)[1:-1]
         level = np.digitize(self.V[inside], edges)
-        outward = self.V_dot[inside] / _norm(self.gradient[inside])
+        outward = self.outward[inside]
         order = np.lexsort((-outward, level))
         # How many samples of its level come before each.
         first = np.searchsorted(level[order], level[order])
         return inside[order[np.arange(len(order)) - first < CLIMBERS]]
-
-
-def _norm(gradient: FloatArray) -> FloatArray:
-    return np.maximum(np.linalg.norm(gradient, axis=1), np.finfo(np.float64).tiny)

@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from sgvf_drake.fields import GuidingField
 from sgvf_drake.lyapunov.band import SIGMA_RATIOS, Band, search_band
 from sgvf_drake.lyapunov.bounds import Bound, robustness_bounds
@@ -16,8 +18,8 @@ from sgvf_drake.lyapunov.function import LyapunovFunction
 from sgvf_drake.lyapunov.learned_path import learned_path
 from sgvf_drake.lyapunov.margin import Margins, inward_margins
 from sgvf_drake.lyapunov.samples import Samples, take_samples
-from sgvf_drake.lyapunov.singularities import Zero, find_guiding_zeros
-from sgvf_drake.lyapunov.violations import Search, Violation
+from sgvf_drake.lyapunov.singularities import FieldZeros, find_guiding_zeros
+from sgvf_drake.lyapunov.violations import Search, Violation, at_end
 from sgvf_drake.paths import Reference
 from sgvf_drake.progress import Progress, no_progress
 
@@ -34,7 +36,7 @@ class Verification:
         assumptions: A1 and A2 of the paper, measured.
         lemma: Lemma 1, in the paper's form and with the true gradient.
         bounds: The three robustness bounds.
-        zeros: The zeros of m in the box.
+        zeros: The zeros of m in the box, with what the search could not decide.
         slowest: The smallest |m| in the tube (near the path without a band), away from ends.
         decrease_fraction: Part of the box where V falls.
         violations: What speaks against it, that which counts first.
@@ -47,7 +49,7 @@ class Verification:
     assumptions: Assumptions
     lemma: Lemma
     bounds: Sequence[Bound]
-    zeros: Sequence[Zero]
+    zeros: FieldZeros
     slowest: float
     decrease_fraction: float
     violations: Sequence[Violation]
@@ -56,6 +58,13 @@ class Verification:
     def holds(self) -> bool:
         """Whether every sampled condition holds: from {V <= c_out} robots follow the path."""
         return self.band is not None and not any(v.counts for v in self.violations)
+
+    @property
+    def alpha(self) -> float | None:
+        """The smallest -V_dot that was found in the band, per unit of length."""
+        if self.band is None or self.margins is None:
+            return None
+        return min(self.band.decrease, float(self.margins.decrease.min()))
 
     @property
     def reason(self) -> str:
@@ -94,16 +103,19 @@ def verify(
     reference = learned_path(field) if reference is None else reference
     samples = take_samples(field, seed)
     progress("sample", 1, 1)
-    band = search_band(field, samples, reference, ratios, seed, progress)
-    function = LyapunovFunction.of(field) if band is None else band.function
-    zeros = find_guiding_zeros(field).zeros
+    zeros = find_guiding_zeros(field)
     progress("zeros", 1, 1)
-    V, gradient = function.value_and_gradient(samples.x)
-    V_dot = (gradient * samples.m).sum(axis=1)
-    search = Search(field, function, samples, band, reference, zeros, V, V_dot)
+    # Where an open path ends, m has to vanish.
+    on_the_way = [zero for zero in zeros.zeros if not at_end(field, zero.point[None])[0]]
+    stops = np.array([zero.point for zero in on_the_way]).reshape(-1, 2)
+    band = search_band(field, samples, reference, ratios, seed, stops, progress)
+    function = LyapunovFunction.of(field) if band is None else band.function
     margins = None
     if band is not None:
         margins = inward_margins(field, function, samples, band.c_in, band.c_out)
+    V, gradient = function.value_and_gradient(samples.x)
+    V_dot = (gradient * samples.m).sum(axis=1)
+    search = Search(field, function, samples, band, reference, on_the_way, margins, V, V_dot)
     progress("conditions", 1, 1)
     return Verification(
         function=function,

@@ -11,6 +11,7 @@ from sgvf_drake.arrays import BoolArray, FloatArray
 from sgvf_drake.fields import GuidingField
 from sgvf_drake.lyapunov.band import Band
 from sgvf_drake.lyapunov.function import LyapunovFunction
+from sgvf_drake.lyapunov.margin import Margins
 from sgvf_drake.lyapunov.samples import Samples
 from sgvf_drake.lyapunov.scan import MIN_DECREASE
 from sgvf_drake.lyapunov.singularities import Zero
@@ -32,9 +33,10 @@ class Violation:
 
     Attributes:
         kind: `zero` (m vanishes where the robot has to go on), `slow` (|m| is small in the
-            tube), or `rise` (V does not fall, in a region outside the tube).
+            tube), `outward` (m does not flow into a level set of the band), or `rise` (V falls
+            by less than `MIN_DECREASE` in a region outside the tube).
         point: Where, or where it is worst, (d,).
-        value: |m| there, or V_dot.
+        value: |m| there, e*, or V_dot.
         V: V there.
         area: Of the region, in the unit of length squared; 0 for a point.
         counts: Whether it is inside {V <= c_out}, or near the path where there is no band:
@@ -55,10 +57,20 @@ class Violation:
         match self.kind:
             case "zero":
                 return f"m vanishes at {at}, a {self.detail}"
+            case "outward":
+                return f"m leaves the level set V = {self.V:.3g} at {at}"
             case "slow":
                 return f"|m| is only {self.value:.3g} at {at}"
             case _:
-                return f"V does not fall around {at}, at worst {self.value:+.3g}"
+                return f"V changes by {self.value:+.3g} a unit of length at {at}"
+
+
+def at_end(field: GuidingField, x: FloatArray) -> BoolArray:
+    """Returns whether points (n, d) are where a robot is to rest, (n,)."""
+    if not len(field.ends):
+        return np.zeros(len(x), bool)
+    distance = np.linalg.norm(x[:, None] - field.ends, axis=2).min(axis=1)
+    return np.asarray(distance <= AT_END * field.cloud.unit_length)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +83,8 @@ class Search:
         samples: The field where it was looked at.
         band: The band on which V decreases; None: there is none.
         reference: The path.
-        zeros: The zeros of m in the box.
+        zeros: The zeros of m that are not at an end.
+        margins: The inward flow on the levels of the band.
         V: V at the samples, (n,).
         V_dot: V_dot = grad V . m there, (n,).
     """
@@ -82,13 +95,14 @@ class Search:
     band: Band | None
     reference: Reference
     zeros: Sequence[Zero]
+    margins: Margins | None
     V: FloatArray
     V_dot: FloatArray
 
     @property
     def violations(self) -> list[Violation]:
         """What was found: that which counts first, and there the zeros first."""
-        found = [*self._zeros(), *self._slow(), *self._rises()]
+        found = [*self._zeros(), *self._slow(), *self._outward(), *self._rises()]
         return sorted(found, key=lambda violation: not violation.counts)
 
     @property
@@ -102,19 +116,25 @@ class Search:
         return float(self._speeds_in_tube[1].min(initial=np.inf))
 
     def _zeros(self) -> list[Violation]:
-        """Returns the zeros of m, those that trap robots first; not those of the ends."""
+        """Returns the zeros of m, those that trap robots first."""
         found = []
         for zero in sorted(self.zeros, key=lambda zero: not zero.stable):
             x = zero.point[None]
-            if not self._at_end(x)[0]:
-                V = float(self.function(x)[0])
-                c_out = self.band.c_out if self.band else None
-                counts = bool(self._inside(x, np.array([V]), c_out)[0])
-                kind = (
-                    f"stable {zero.kind}" if zero.kind == "focus" and zero.stable else zero.kind
-                )
-                found.append(Violation("zero", zero.point, 0.0, V, 0.0, counts, kind))
+            V = self.function(x)
+            c_out = self.band.c_out if self.band else None
+            counts = bool(self._inside(x, V, c_out)[0])
+            kind = f"stable {zero.kind}" if zero.kind == "focus" and zero.stable else zero.kind
+            found.append(Violation("zero", zero.point, 0.0, float(V[0]), 0.0, counts, kind))
         return found
+
+    def _outward(self) -> list[Violation]:
+        """Returns the level set of the band that m leaves most, if it leaves any."""
+        if self.margins is None or self.margins.e_star.min() > 0:
+            return []
+        worst = int(np.argmin(self.margins.e_star))
+        point, level = self.margins.weakest[worst], float(self.margins.levels[worst])
+        value = float(self.margins.e_star[worst])
+        return [Violation("outward", point, value, level, 0.0, counts=True)]
 
     def _slow(self) -> list[Violation]:
         """Returns the slowest place of the tube, if it is too slow."""
@@ -158,7 +178,7 @@ class Search:
     def _speeds_in_tube(self) -> tuple[FloatArray, FloatArray]:
         """The samples in the tube that are not at an end, (k, d), and |m| there, (k,)."""
         x, m = self.samples.x[self._tube], self.samples.m[self._tube]
-        going_on = ~self._at_end(x)
+        going_on = ~at_end(self.field, x)
         return x[going_on], np.linalg.norm(m[going_on], axis=1)
 
     def _inside(self, x: FloatArray, V: FloatArray, level: float | None) -> BoolArray:
@@ -167,9 +187,3 @@ class Search:
             return np.asarray(level >= V)
         distance = self.reference.project(x).distance
         return np.asarray(distance <= NEAR_PATH * self.field.cloud.unit_length)
-
-    def _at_end(self, x: FloatArray) -> BoolArray:
-        if not len(self.field.ends):
-            return np.zeros(len(x), bool)
-        distance = np.linalg.norm(x[:, None] - self.field.ends, axis=2).min(axis=1)
-        return np.asarray(distance <= AT_END * self.field.cloud.unit_length)

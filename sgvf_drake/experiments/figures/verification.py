@@ -14,6 +14,7 @@ import numpy as np
 from sgvf_drake import plotting
 from sgvf_drake.arrays import FloatArray
 from sgvf_drake.fields import Field, GuidingField
+from sgvf_drake.fields.vectors import component_along
 from sgvf_drake.lyapunov import LyapunovFunction, Verification, Violation
 from sgvf_drake.lyapunov.bounds import NEARLY as BOUND_NEARLY
 from sgvf_drake.lyapunov.scan import MIN_DECREASE
@@ -152,8 +153,7 @@ def plot_profile(axes: Axes, found: Verification) -> Sequence[Artist]:
     """Draws the outward normal speed of m on the level sets of V: largest and median."""
     samples, function = found.samples, found.function
     V, gradient = function(samples.x), function.gradient(samples.x)
-    norm = np.maximum(np.linalg.norm(gradient, axis=1), np.finfo(np.float64).tiny)
-    outward = (gradient * samples.m).sum(axis=1) / norm
+    outward = component_along(gradient, samples.m)
     edges = np.geomspace(PROFILE_FLOOR, V.max(), PROFILE_BINS + 1)
     number = np.digitize(V, edges) - 1
     rows = [
@@ -218,12 +218,12 @@ def _handles(found: Verification) -> list[Artist]:
         ]
     handles += [
         Patch(color=OUTSIDE, label="V falls, outside of a band"),
-        Patch(color=RISES, label="V does not fall"),
+        Patch(color=RISES, label="V rises, or falls by less than 0.01 a U"),
         Line2D([], [], color=LEVELS, label="level sets of V"),
     ]
     for counts, color, label in (
         (True, plotting.RED, "violation"),
-        (False, plotting.GREY, "V rises or m = 0: no claim here"),
+        (False, plotting.GREY, "the same or m = 0: no claim here"),
     ):
         if any(violation.counts is counts for violation in found.violations):
             handles.append(Line2D([], [], color=color, marker="X", linestyle="", label=label))

@@ -44,7 +44,7 @@ def margins_of(field, function, speed):
         gradient = function.gradient(x)
         inward = -(gradient * flown(x)).sum(axis=1) / np.linalg.norm(gradient, axis=1)
         e_star.append(inward.min())
-    return Margins(LEVELS, np.array(e_star), np.zeros((len(LEVELS), 2)))
+    return Margins(LEVELS, np.array(e_star), np.zeros((len(LEVELS), 2)), np.zeros(len(LEVELS)))
 
 
 @pytest.fixture(scope="module")
@@ -126,7 +126,7 @@ def test_the_smallest_covering_level_is_the_first_that_tolerates_the_error(track
         (np.full(len(LEVELS), largest / SPEED), False, None),
         (np.full(len(LEVELS), 1.01 * largest / SPEED), True, LEVELS[0]),
     ):
-        margins = Margins(LEVELS, e_star, np.zeros((len(LEVELS), 2)))
+        margins = Margins(LEVELS, e_star, np.zeros((len(LEVELS), 2)), np.zeros(len(LEVELS)))
         (piece,) = replace(tracked, margins=margins).summary()["pieces"]
         assert piece["covered"] is covered
         assert piece["smallest_covering_level"] == smallest
@@ -135,7 +135,9 @@ def test_the_smallest_covering_level_is_the_first_that_tolerates_the_error(track
 @pytest.fixture(scope="module")
 def stopped(flight_field, V, inner):
     """A flight whose level is so low that V, which varies along the path, goes above it."""
-    margins = Margins(np.array([1e-4, 1.0]), np.array([0.1, 0.1]), np.zeros((2, 2)))
+    margins = Margins(
+        np.array([1e-4, 1.0]), np.array([0.1, 0.1]), np.zeros((2, 2)), np.zeros(2)
+    )
     return flight_tracking(
         flight_field, inner, SPEED, V, margins, c_in=2e-4, level=4e-4, laps=1.0
     )

@@ -10,11 +10,22 @@ import pytest
 from sgvf_drake.exceptions import OutputExistsError
 from sgvf_drake.experiments import run_verify
 from sgvf_drake.fields import Perceptron
+from sgvf_drake.paths import shape_path
 
 KEYS = {
     *("holds", "reason", "method", "sigma", "c_in", "c_out", "alpha", "delta"),
     *("tube_half_width", "area_fraction", "decrease_fraction", "compact", "components"),
-    *("e_star_max", "e_star", "violations", "assumptions", "lemma", "bounds", "theorem"),
+    *(
+        "e_star_max",
+        "e_star_min",
+        "e_star",
+        "undecided",
+        "violations",
+        "assumptions",
+        "lemma",
+        "bounds",
+        "theorem",
+    ),
     *("flight", "time_s", "unit_length", "reference", "recipe", "seed", "digest"),
 }
 
@@ -53,6 +64,8 @@ def test_the_rings_hold(flown):
     assert summary["compact"] is True
     assert 0 < summary["c_in"] < summary["c_out"]
     assert summary["alpha"] > 0
+    assert 0 < summary["e_star_min"] < summary["e_star_max"] < 1.01
+    assert summary["undecided"] == 0
     assert summary["delta"] > 0.98
     assert 0 < summary["tube_half_width"] < 0.05
     levels = summary["e_star"]
@@ -95,6 +108,23 @@ def test_without_a_band_nobody_follows(tmp_path, flight_field):
     stored = summary_of(tmp_path / "out")
     assert stored["violations"][0]["counts"] is True
     assert stored["assumptions"]["a3"]["remained_fraction"] is None
+
+
+def test_an_agent_that_leaves_ends_the_claim(tmp_path, monkeypatch, flight_field):
+    """The samples are made to say that V falls on levels where it does not."""
+    from sgvf_drake.lyapunov import verification
+
+    def outward(self, x):
+        return 1.0 * x
+
+    found = verification.verify(flight_field, shape_path("concentric-flight"), ratios=(1.0,))
+    monkeypatch.setitem(run_verify.__globals__, "verify", lambda *_, **__: found)
+    monkeypatch.setattr(type(flight_field), "_value", outward)
+    summary = run_verify(flight_field, None, tmp_path / "out", starts=36)
+    assert found.holds
+    assert summary["holds"] is False
+    assert "left the sublevel set" in summary["reason"]
+    assert summary["assumptions"]["a3"]["remained_fraction"] < 1
 
 
 def test_results_are_not_replaced_unasked(flown, flight_field):

@@ -4,6 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.optimize import minimize
 
 from sgvf_drake.exceptions import ConfigurationError
@@ -118,6 +119,29 @@ def test_modes_are_maxima():
     score, jacobian = mixture.score_and_jacobian(modes)
     assert np.abs(score).max() < 1e-6 / mixture.sigma
     assert np.linalg.eigvalsh(jacobian).max() < 0
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("sigma", [0.15, 0.5])
+def test_every_mode_is_found_once(seed, sigma):
+    mixture = mixture_of(seed, count=40, sigma=sigma)
+    modes = find_modes(mixture)
+    # The independent library follows the score from every waypoint to where it ends.
+    ends = [
+        solve_ivp(
+            lambda _, x: mixture.score(x[None])[0], (0, 1e3 * sigma**2), start, method="BDF"
+        ).y[:, -1]
+        for start in mixture.points
+    ]
+    apart = np.linalg.norm(np.array(ends)[:, None] - modes, axis=2)
+    assert apart.min(axis=1).max() < 1e-2 * sigma
+    # Each is higher than a small circle about it, and there is no other one near.
+    angle = 2 * np.pi * np.arange(32) / 32
+    circle = 0.01 * sigma * np.column_stack([np.cos(angle), np.sin(angle)])
+    around = mixture.log_density((modes[:, None] + circle).reshape(-1, 2)).reshape(-1, 32)
+    assert (around.max(axis=1) < mixture.log_density(modes)).all()
+    between = np.linalg.norm(modes[:, None] - modes, axis=2)[~np.eye(len(modes), dtype=bool)]
+    assert between.min(initial=1.0) > 1e-3 * sigma
 
 
 def test_one_waypoint_many_times_is_one_mode():

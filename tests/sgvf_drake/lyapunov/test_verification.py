@@ -8,6 +8,7 @@ import pytest
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.lyapunov import verify
 from sgvf_drake.lyapunov.violations import NEAR_PATH
+from sgvf_drake.paths import Piece, ReferencePath
 
 # One noise level of V is enough where its choice is not the matter.
 ONE = (1.0,)
@@ -34,10 +35,10 @@ def test_a_rotation_about_a_ring_holds(good):
 def test_its_only_zero_is_in_the_hole_and_counts_for_nothing(good):
     # The winding number on the border is one, so there must be one inside.
     zeros = [violation for violation in good.violations if violation.kind == "zero"]
-    assert len(zeros) == len(good.zeros) == 1
+    assert len(zeros) == len(good.zeros.zeros) == 1
     assert not zeros[0].counts
     assert np.linalg.norm(zeros[0].point) < 0.1
-    assert good.zeros[0].index == 1
+    assert good.zeros.zeros[0].index == 1
 
 
 def test_a_planted_sink_on_the_path_is_found(ring_field, linear):
@@ -51,6 +52,44 @@ def test_a_planted_sink_on_the_path_is_found(ring_field, linear):
     np.testing.assert_allclose(first.point, sink, atol=0.05)
     assert "m vanishes at (2.1" in found.reason
     assert "a sink" in found.reason
+
+
+def test_a_zero_between_the_samples_bounds_the_band(ring_field, linear):
+    """A linear tangent network vanishes at one point only: here off the grid, in the band."""
+    turn = np.array([[0.0, -1.0], [1.0, 0.0]])
+    place = np.array([2.8137, 0.9071])
+    network = linear(turn, place)
+    # The score is balanced there by nothing, so m = s; shift v until s + v vanishes.
+    field, path = ring_field(tangent=network, composition="paper", **COARSE)
+    s = field.components(place[None])[0][0]
+    network = replace(network, biases=(network.biases[0] - s,))
+    field, path = ring_field(tangent=network, composition="paper", **COARSE)
+    found = verify(field, path, ratios=ONE)
+    zero = found.zeros.points[np.linalg.norm(found.zeros.points - place, axis=1).argmin()]
+    V = float(found.function(zero[None])[0])
+    assert np.linalg.norm(field(zero)) < 1e-9
+    assert found.band is None or not found.band.c_in <= V <= found.band.c_out
+
+
+def test_a_tube_far_from_the_path_is_none(ring):
+    field, _ = ring
+    angle = 2 * np.pi * np.arange(60) / 60
+    far = 0.2 * np.column_stack([np.cos(angle), np.sin(angle)]) + [40.0, 0.0]
+    found = verify(field, ReferencePath((Piece(far, closed=True),)), ratios=ONE)
+    assert not found.holds
+    assert found.band is None
+
+
+def test_alpha_is_the_smallest_decrease_of_all_that_was_seen(ring, good):
+    weakest = -good.function.along(ring[0], good.margins.weakest)
+    np.testing.assert_allclose(good.margins.decrease, weakest, rtol=1e-9)
+    V, V_dot = (
+        good.function(good.samples.x),
+        good.function.derivative(good.samples.x, good.samples.m),
+    )
+    inside = (good.band.c_in <= V) & (good.band.c_out >= V)
+    assert good.alpha <= min(weakest.min(), -V_dot[inside].max()) * (1 + 1e-9)
+    assert good.alpha > 0
 
 
 def test_a_tangent_without_direction_is_found(ring_field, linear):
@@ -145,7 +184,7 @@ def test_an_open_path_may_end(open_result):
     found = verify(field, reference, ratios=ONE)
     assert found.band is not None
     assert [component.holes for component in found.band.tube.components] == [0]
-    ends = [z for z in found.zeros if np.linalg.norm(z.point - field.ends[0]) < 0.3]
+    ends = [z for z in found.zeros.zeros if np.linalg.norm(z.point - field.ends[0]) < 0.3]
     assert ends
     assert all(zero.kind in ("sink", "focus") for zero in ends if zero.index == 1)
     assert found.holds, found.reason
