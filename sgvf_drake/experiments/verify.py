@@ -30,14 +30,7 @@ from sgvf_drake.experiments.theorem import (
 )
 from sgvf_drake.experiments.tracking import flight_tracking
 from sgvf_drake.fields import GuidingField, TangentField
-from sgvf_drake.lyapunov import (
-    Verification,
-    inward_margins,
-    learned_path,
-    search_band,
-    take_samples,
-    verify,
-)
+from sgvf_drake.lyapunov import Verification, learned_path, verify
 from sgvf_drake.metrics import default_duration, grid_starts
 from sgvf_drake.paths import Reference
 from sgvf_drake.progress import Progress, no_progress
@@ -238,11 +231,10 @@ def _fly(
     """
     flown = FieldForSpeed(field, speed)
     assert isinstance(flown, GuidingField)
-    samples = take_samples(flown)
-    band = search_band(flown, samples, reference, progress=progress)
-    if band is None:
+    found = verify(flown, reference, progress=progress)
+    band, margins = found.band, found.margins
+    if band is None or margins is None:
         return {"band": None}
-    margins = inward_margins(flown, band.function, samples, band.c_in, band.c_out)
     # The set that tolerates most is the one that a flight is to stay in.
     level = float(margins.levels[margins.e_star.argmax()])
     result = flight_tracking(
