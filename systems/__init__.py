@@ -26,7 +26,7 @@ from systems.lyapunov_monitor import (
     LyapunovMonitor_,
 )
 from systems.quadrotor import QuadrotorParameters
-from systems.se3_law import Gains
+from systems.se3_law import Body, Gains
 from systems.sensing import AddMotionCapture
 from systems.stop_on_exit import ExitWatch, StopOnExit, SublevelExit
 
@@ -35,6 +35,7 @@ __all__ = [
     "AddGuidance",
     "AddLyapunovMonitor",
     "AddMotionCapture",
+    "Body",
     "DifferentiableFunction",
     "ExitWatch",
     "FieldForSpeed",

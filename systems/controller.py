@@ -1,23 +1,26 @@
 """The SE(3) controller as a system: from a velocity command to propeller forces."""
 
+import math
 from typing import Any
 
+from numba import njit
+import numpy as np
 from pydrake.systems.framework import BasicVector_, LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 from systems.mixing import CalcPropellerForces
-from systems.quadrotor import NUM_PROPELLERS, STATE_SIZE, QuadrotorParameters
+from systems.quadrotor import NUM_PROPELLERS, STATE_SIZE, QuadrotorParameters, Rotors
+from systems.scalar_math import compilable
 from systems.scalars import (
     SCALARS,
     CheckFinite,
     CheckFiniteParameter,
     CheckPositiveParameter,
-    MathOf,
     Scalar,
     ToList,
     ToVector,
 )
-from systems.se3_law import CalcThrustAndTorque, Gains
+from systems.se3_law import Body, CalcThrustAndTorque, Gains
 
 DEFAULT_GAINS = Gains(
     velocity_gain=3.0, attitude_bandwidth=12.0, damping_ratio=0.7, heading=0.0
@@ -49,19 +52,23 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
 
         `propeller_force` (4) is QuadrotorPlant's input: forces in N over the plant's
         force constant kF, which is 1 by default.  Each force is in
-        [0, `QuadrotorParameters.max_propeller_force`].
+        [0, `QuadrotorParameters.max_propeller_force`] if saturated.
 
         The law is that of Lee, Leok and McClamroch 2010 (see `systems.se3_law`), with a
-        velocity command in place of a trajectory and the heading held fixed.  The one
-        numeric parameter (index `parameter_index`) holds the `Gains`; see `SetGains`.  The
-        output is direct feed-through.
+        velocity command in place of a trajectory and the heading held fixed.  The numeric
+        parameters are the `Gains` (index `gains_index`, see `SetGains`) and the `Body`, the
+        mass and inertia that the controller believes (index `body_index`, see `SetBody`).
+        The output is direct feed-through.
 
         Args:
             parameters: The vehicle that is flown; by default the paper's.
             gains: The gains; by default `DEFAULT_GAINS`.
+            saturate: Whether demands and forces are limited to what the vehicle can give.
+                False makes the law smooth, for derivatives and trajectory optimisation.
 
         Raises:
-            ConfigurationError: if a gain cannot be used.
+            ConfigurationError: if a gain, the mass or the inertia cannot be used; on
+                evaluation too, where they were set in the Context itself.
             NonFiniteValueError: on evaluation, where an input is not finite.
         """
 
@@ -69,19 +76,26 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
             self,
             parameters: QuadrotorParameters | None = None,
             gains: Gains = DEFAULT_GAINS,
+            saturate: bool = True,
             converter: Any = None,
         ) -> None:
             LeafSystem_[T].__init__(self, converter=converter)
             _CheckGains(gains)
-            self._arguments: dict[str, Any] = {"parameters": parameters, "gains": gains}
+            self._arguments: dict[str, Any] = {
+                "parameters": parameters,
+                "gains": gains,
+                "saturate": saturate,
+            }
             self._parameters = parameters or QuadrotorParameters()
-            self._math = MathOf(T)
+            self._saturate = saturate
             self._state = self.DeclareVectorInputPort("state", STATE_SIZE)
             self._velocity_command = self.DeclareVectorInputPort("velocity_command", 3)
             self._acceleration_feedforward = self.DeclareVectorInputPort(
                 "acceleration_feedforward", 3
             )
-            self.parameter_index = self.DeclareNumericParameter(BasicVector_[T](list(gains)))
+            self.gains_index = self.DeclareNumericParameter(BasicVector_[T](list(gains)))
+            body = [self._parameters.mass, *self._parameters.inertia]
+            self.body_index = self.DeclareNumericParameter(BasicVector_[T](body))
             self._propeller_force = self.DeclareVectorOutputPort(
                 "propeller_force",
                 NUM_PROPELLERS,
@@ -99,9 +113,7 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
 
         def GetGains(self, context: Any) -> Gains:
             """Returns the gains."""
-            return Gains(
-                *context.get_numeric_parameter(self.parameter_index).CopyToVector().tolist()
-            )
+            return Gains(*_Values(context, self.gains_index))
 
         def SetGains(self, context: Any, gains: Gains) -> None:
             """Sets the gains; this system's own Context is wanted.
@@ -109,26 +121,52 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
             To change one: ``SetGains(context, GetGains(context)._replace(heading=0.5))``.
             """
             _CheckGains(gains)
-            context.get_mutable_numeric_parameter(self.parameter_index).SetFromVector(
+            context.get_mutable_numeric_parameter(self.gains_index).SetFromVector(
                 ToVector(T, gains)
             )
 
-        def _CalcPropellerForce(self, context: Any, output: Any) -> None:
-            state = self._Read(context, self._state)
-            velocity_command = self._Read(context, self._velocity_command)
-            acceleration = self._Read(context, self._acceleration_feedforward)
-            gains = self.GetGains(context)
-            thrust, torque = CalcThrustAndTorque(
-                self._math, self._parameters, gains, state, velocity_command, acceleration
-            )
-            k = self._parameters.force_constant
-            forces = CalcPropellerForces(self._parameters, thrust, torque)
-            output.SetFromVector(ToVector(T, [force / k for force in forces]))
+        def GetBody(self, context: Any) -> Body:
+            """Returns the mass in kg and the inertia in kg m^2 that are believed."""
+            return Body(*_Values(context, self.body_index))
 
-        def _Read(self, context: Any, port: Any) -> list[Scalar]:
-            value = port.Eval(context)
-            CheckFinite(self, context, port, ToList(value))
-            return value.tolist()
+        def SetBody(self, context: Any, body: Body) -> None:
+            """Sets the mass in kg and the inertia in kg m^2 that are believed.
+
+            This system's own Context is wanted.  The vehicle's own stay what they are: so
+            one sees what a wrong belief costs.
+            """
+            _CheckBody(body)
+            context.get_mutable_numeric_parameter(self.body_index).SetFromVector(
+                ToVector(T, body)
+            )
+
+        def _CalcPropellerForce(self, context: Any, output: Any) -> None:
+            arguments = (
+                self._state.Eval(context),
+                self._velocity_command.Eval(context),
+                self._acceleration_feedforward.Eval(context),
+                context.get_numeric_parameter(self.gains_index).CopyToVector(),
+                context.get_numeric_parameter(self.body_index).CopyToVector(),
+                self._parameters.rotors,
+                self._parameters.gravity,
+                self._saturate,
+            )
+            if T is float:
+                forces = _CalcForcesCompiled(*arguments)
+                # Looked at afterwards: a bad input makes them NaN, and checks in Python
+                # would cost more than the law.
+                if not math.isfinite(forces[0]):
+                    self._CheckInputs(context)
+            else:
+                self._CheckInputs(context)
+                forces = np.array(_CalcForces(*arguments))
+            output.SetFromVector(forces)
+
+        def _CheckInputs(self, context: Any) -> None:
+            for port in (self._state, self._velocity_command, self._acceleration_feedforward):
+                CheckFinite(self, context, port, ToList(port.Eval(context)))
+            _CheckGains(self.GetGains(context))
+            _CheckBody(self.GetBody(context))
 
     return Impl
 
@@ -136,7 +174,82 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
 Se3Controller = Se3Controller_[None]
 
 
+def _Values(context: Any, index: Any) -> list[Scalar]:
+    return context.get_numeric_parameter(index).CopyToVector().tolist()
+
+
 def _CheckGains(gains: Gains) -> None:
     for name in ("velocity_gain", "attitude_bandwidth", "damping_ratio"):
         CheckPositiveParameter(name, getattr(gains, name))
     CheckFiniteParameter("heading", gains.heading)
+
+
+def _CheckBody(body: Body) -> None:
+    for name, value in body._asdict().items():
+        CheckPositiveParameter(name, value)
+
+
+@compilable
+def _CalcForces(
+    state: Any,
+    velocity_command: Any,
+    acceleration: Any,
+    gains: Any,
+    body: Any,
+    rotors: Rotors,
+    gravity: float,
+    saturate: bool,
+) -> tuple[Scalar, Scalar, Scalar, Scalar]:
+    """The law from arrays to the input of QuadrotorPlant."""
+    thrust, torque = CalcThrustAndTorque(
+        Body(body[0], body[1], body[2], body[3]),
+        Gains(gains[0], gains[1], gains[2], gains[3]),
+        (state[3], state[4], state[5]),
+        (state[6], state[7], state[8]),
+        (state[9], state[10], state[11]),
+        (velocity_command[0], velocity_command[1], velocity_command[2]),
+        (acceleration[0], acceleration[1], acceleration[2]),
+        gravity,
+        NUM_PROPELLERS * rotors.max_force,
+        saturate,
+    )
+    a, b, c, d = CalcPropellerForces(rotors, thrust, torque, saturate)
+    k = rotors.force_constant
+    return a / k, b / k, c / k, d / k
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _CalcForcesCompiled(
+    state: Any,
+    velocity_command: Any,
+    acceleration: Any,
+    gains: Any,
+    body: Any,
+    rotors: Rotors,
+    gravity: float,
+    saturate: bool,
+) -> Any:
+    """The same as an array, which is NaN where an input or a parameter cannot be used."""
+    usable = (
+        np.isfinite(state).all()
+        and np.isfinite(velocity_command).all()
+        and np.isfinite(acceleration).all()
+        and np.isfinite(gains).all()
+        and np.isfinite(body).all()
+        and gains[:3].min() > 0.0
+        and body.min() > 0.0
+    )
+    if not usable:
+        return np.full(NUM_PROPELLERS, np.nan)
+    return np.array(
+        _CalcForces(
+            state,
+            velocity_command,
+            acceleration,
+            gains,
+            body,
+            rotors,
+            gravity,
+            saturate,
+        )
+    )

@@ -17,7 +17,6 @@ from systems.guidance import (
     DEFAULT_ALTITUDE,
     DEFAULT_SPEED,
     VELOCITY_OFFSET,
-    FieldForSpeed,
     GuidanceSystem,
 )
 from systems.lyapunov_monitor import AddLyapunovMonitor, DifferentiableFunction
@@ -90,7 +89,7 @@ def AddGuidance(
         parameters = QuadrotorParameters.FromPlant(plant)
     guidance = builder.AddNamedSystem(
         "guidance",
-        GuidanceSystem(FieldForSpeed(field, speed), speed, altitude, feedforward),
+        GuidanceSystem(field, speed, altitude, feedforward),
     )
     controller = builder.AddNamedSystem("controller", Se3Controller(parameters))
     measured = AddMotionCapture(builder, plant.GetOutputPort("state"), sample_period)

@@ -1,25 +1,31 @@
 """From the vehicle's state to a velocity command, by the guiding vector field."""
 
-import operator
-from typing import Any
+from collections.abc import Callable
+from functools import lru_cache, partial
+import math
+from typing import Any, NamedTuple
 
+from numba import njit
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import BasicVector_, LeafSystem_, ValueProducer
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.fields.base import AdjustableField, Field
+from sgvf_drake.fields.base import AdjustableField, CompilableField, Field
 from systems.quadrotor import STATE_SIZE
+from systems.scalar_math import Tanh, compilable
 from systems.scalars import (
     SCALARS,
+    CheckConstant,
     CheckFinite,
     CheckFiniteParameter,
+    CheckPositiveParameter,
     CheckSpeed,
     EvalField,
     Scalar,
+    ToFloat,
     ToList,
-    ToVector,
 )
 
 DEFAULT_SPEED = 0.45
@@ -43,25 +49,30 @@ path, below it costs nothing measurable."""
 VELOCITY_OFFSET = 6
 """Where v_WB starts in the state."""
 
+WIDENED_FIELDS = 8
+"""Fields of other approach lengths that a system keeps, one for each speed in use."""
 
-def FieldForSpeed(
-    field: Field, speed: float, max_approach_rate: float = MAX_APPROACH_RATE
-) -> Field:
-    """Returns the field, made wide enough for a vehicle at a speed.
+
+def FieldForSpeed(field: Field, speed: float) -> Field:
+    """Returns the field as a vehicle flies it at a speed: made wide enough to be followed.
 
     Beside the path, a field asks a vehicle to turn at the rate speed / approach_length.
-    Where that is more than the rate allowed, the approach length grows; fields that cannot
-    be adjusted, or need not be, are returned as they are.
+    Where that is more than `MAX_APPROACH_RATE`, the approach length grows; fields that
+    cannot be adjusted, or need not be, are returned as they are.
 
     Args:
         field: The field, in metres.
         speed: In m/s.
-        max_approach_rate: In 1/s, well below the bandwidth of the vehicle's attitude.
     """
     if not isinstance(field, AdjustableField):
         return field
-    needed = speed / max_approach_rate
+    needed = ApproachLengthForSpeed(field, speed)
     return field.with_approach_length(needed) if needed > field.approach_length else field
+
+
+def ApproachLengthForSpeed(field: AdjustableField, speed: Scalar) -> float:
+    """Returns the approach length in m at which a vehicle follows the field at a speed."""
+    return max(field.approach_length, ToFloat(speed) / MAX_APPROACH_RATE)
 
 
 @TemplateSystem.define("GuidanceSystem_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
@@ -77,6 +88,7 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             output_ports:
             - velocity_command
             - acceleration_feedforward
+            - speed
 
         `state` (12) is QuadrotorPlant's: position p_WB in m, roll-pitch-yaw in rad,
         velocity v_WB in m/s and the rates of roll-pitch-yaw in rad/s; z is up.
@@ -88,16 +100,20 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
         vehicle moves with its own velocity: speed J(p_WB) v_WB, where J is the field's
         Jacobian.  It is what makes a vehicle turn with the path instead of after it.
 
+        `speed` (1) is the parameter of that name, in m/s.
+
         A field of dimension 2 guides x and y, and the altitude is held by a velocity
-        command ``ALTITUDE_GAIN (altitude - z)``, limited to `MAX_CLIMB_RATE`.  A field of
-        dimension 3 guides all three, and the altitude is not used.
+        command ``ALTITUDE_GAIN (altitude - z)``, smoothly limited to `MAX_CLIMB_RATE` by a
+        hyperbolic tangent.  A field of dimension 3 guides all three, and the altitude is
+        not used.
 
         The one numeric parameter (index `parameter_index`) holds (speed in m/s, altitude
-        in m); see `SetSpeed` and `SetAltitude`.  Both outputs are direct feed-through, and
-        both share one cached evaluation of the field.
+        in m, approach length in m); see `SetSpeed`, `SetAltitude` and `SetApproachLength`.
+        The approach length is that of the field, or what the vehicle can turn at its speed
+        if that is more (see `FieldForSpeed`), and 0 for a field that has none.
 
-        A learned field may ask for quicker turns than the vehicle can fly; `AddGuidance`
-        passes it through `FieldForSpeed` first, and so should a diagram composed by hand.
+        The two commands are direct feed-through, and share one cached evaluation of the
+        field.
 
         Args:
             field: The guiding field, of dimension 2 or 3, in metres.
@@ -107,7 +123,8 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
                 for.
 
         Raises:
-            ConfigurationError: if an argument cannot be used.
+            ConfigurationError: if an argument or a parameter cannot be used, or a
+                derivative by the approach length is asked for.
             NonFiniteValueError: on evaluation, where the state or the field is not finite.
         """
 
@@ -133,35 +150,39 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
                 "feedforward": feedforward,
             }
             self._field = field
+            self._is_adjustable = isinstance(field, AdjustableField)
+            self._Flown = lru_cache(WIDENED_FIELDS)(partial(_Fly, field, T))
             self._feedforward = feedforward
+            self._Calc = _CalcCommandsCompiled if T is float else _CalcCommandsInPython
             self._state = self.DeclareVectorInputPort("state", STATE_SIZE)
             self.parameter_index = self.DeclareNumericParameter(
-                BasicVector_[T]([speed, altitude])
+                BasicVector_[T]([speed, altitude, self._ApproachLength(speed)])
             )
-            # The field's value and Jacobian, flattened.  It does not depend on the
-            # parameters, and a Value of anything but a BasicVector aborts when fields are
-            # evaluated in batches.
-            size = field.dim + field.dim**2
-            self._value_and_jacobian = self.DeclareCacheEntry(
-                "field value and Jacobian",
-                ValueProducer(
-                    allocate=lambda: Value[BasicVector_[T]](BasicVector_[T](size)),
-                    calc=self._CalcField,
-                ),
-                {self.input_port_ticket(self._state.get_index())},
-            )
-            # Named one by one: the default takes in the time, and then the controller would
-            # be evaluated in every stage of the integrator instead of once in a sample.
-            sources = {
+            state_and_parameters = {
                 self.input_port_ticket(self._state.get_index()),
-                self._value_and_jacobian.ticket(),
                 self.all_parameters_ticket(),
             }
-            self._velocity_command = self.DeclareVectorOutputPort(
-                "velocity_command", 3, self._CalcVelocityCommand, sources
+            # Velocity and acceleration, one after the other.  A Value of anything but a
+            # BasicVector aborts when fields are evaluated in batches.
+            self._commands = self.DeclareCacheEntry(
+                "commands",
+                ValueProducer(
+                    allocate=lambda: Value[BasicVector_[T]](BasicVector_[T](6)),
+                    calc=self._CalcCommands,
+                ),
+                state_and_parameters,
             )
-            self._acceleration_feedforward = self.DeclareVectorOutputPort(
-                "acceleration_feedforward", 3, self._CalcAccelerationFeedforward, sources
+            # Named: the default takes in the time, and then the controller would be
+            # evaluated in every stage of the integrator instead of once in a sample.
+            sources = state_and_parameters | {self._commands.ticket()}
+            self.DeclareVectorOutputPort(
+                "velocity_command", 3, self._CopyVelocityCommand, sources
+            )
+            self.DeclareVectorOutputPort(
+                "acceleration_feedforward", 3, self._CopyAccelerationFeedforward, sources
+            )
+            self.DeclareVectorOutputPort(
+                "speed", 1, self._CalcSpeed, {self.all_parameters_ticket()}
             )
 
         def _construct_copy(self, other: Any, converter: Any = None) -> None:
@@ -169,17 +190,26 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
 
         @property
         def field(self) -> Field:
-            """The field that is followed."""
+            """The field that was given; `GetFlownField` returns the one that is followed."""
             return self._field
+
+        def GetFlownField(self, context: Any) -> Field:
+            """Returns the field with the approach length of the Context."""
+            return self._Flown(*self._ReadParameters(context)[2:]).field
 
         def GetSpeed(self, context: Any) -> Scalar:
             """Returns the speed in m/s."""
             return self._Parameters(context).GetAtIndex(0)
 
         def SetSpeed(self, context: Any, speed: Scalar) -> None:
-            """Sets the speed in m/s; this system's own Context is wanted."""
+            """Sets the speed in m/s, and the approach length that goes with it.
+
+            This system's own Context is wanted.
+            """
             CheckSpeed(speed)
-            context.get_mutable_numeric_parameter(self.parameter_index).SetAtIndex(0, speed)
+            parameters = context.get_mutable_numeric_parameter(self.parameter_index)
+            parameters.SetAtIndex(0, speed)
+            parameters.SetAtIndex(2, T(self._ApproachLength(speed)))
 
         def GetAltitude(self, context: Any) -> Scalar:
             """Returns the altitude in m."""
@@ -190,52 +220,118 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             CheckFiniteParameter("altitude", altitude)
             context.get_mutable_numeric_parameter(self.parameter_index).SetAtIndex(1, altitude)
 
+        def GetApproachLength(self, context: Any) -> Scalar:
+            """Returns the distance in m over which the flown field turns to the path."""
+            return self._Parameters(context).GetAtIndex(2)
+
+        def SetApproachLength(self, context: Any, length: float) -> None:
+            """Sets the approach length in m; this system's own Context is wanted.
+
+            Raises:
+                ConfigurationError: if it is not positive, or the field has none.
+            """
+            if not self._is_adjustable:
+                raise ConfigurationError("the field has no approach length to set")
+            CheckPositiveParameter("approach_length", length)
+            context.get_mutable_numeric_parameter(self.parameter_index).SetAtIndex(2, T(length))
+
+        def _ApproachLength(self, speed: Scalar) -> float:
+            if not isinstance(self._field, AdjustableField):
+                return 0.0
+            return ApproachLengthForSpeed(self._field, speed)
+
+        def _ReadParameters(self, context: Any) -> list[Scalar]:
+            """Returns speed, altitude and, as a plain float, approach length."""
+            parameters = self._Parameters(context).CopyToVector().tolist()
+            if T is not float:
+                parameters[2] = CheckConstant("approach_length", parameters[2])
+            return parameters
+
         def _Parameters(self, context: Any) -> Any:
             return context.get_numeric_parameter(self.parameter_index)
 
-        def _CalcField(self, context: Any, value: Any) -> None:
+        def _CalcCommands(self, context: Any, value: Any) -> None:
             state = self._state.Eval(context)
-            CheckFinite(self, context, self._state, ToList(state))
-            m, J = EvalField(self._field, state[: self._field.dim])
-            result = np.concatenate((m, J.ravel()))
-            CheckFinite(self, context, "the field's value or Jacobian", ToList(result))
-            value.get_mutable_value().SetFromVector(result)
-
-        def _Inputs(self, context: Any) -> tuple[list[Scalar], list[Scalar], Scalar, Scalar]:
-            """Returns the field's value and Jacobian, the state, the speed, the altitude."""
-            # The field is evaluated first: that is where the state is checked.
-            field = self._value_and_jacobian.Eval(context).CopyToVector().tolist()
-            speed, altitude = self._Parameters(context).CopyToVector().tolist()
-            return field, self._state.Eval(context).tolist(), speed, altitude
-
-        def _CalcVelocityCommand(self, context: Any, output: Any) -> None:
-            field, state, speed, altitude = self._Inputs(context)
-            dim = self._field.dim
-            command = [speed * m_i for m_i in field[:dim]]
-            if dim == 2:
-                climb = ALTITUDE_GAIN * (altitude - state[2])
-                command.append(min(max(climb, -MAX_CLIMB_RATE), MAX_CLIMB_RATE))
-            output.SetFromVector(ToVector(T, command))
-
-        def _CalcAccelerationFeedforward(self, context: Any, output: Any) -> None:
+            speed, altitude, approach_length = self._ReadParameters(context)
+            field = self._Flown(approach_length).evaluate(state[: self._field.dim])
+            commands = self._Calc(field, state, speed, altitude)
+            # Looked at afterwards: what is not finite has made the commands so.
+            if not math.isfinite(ToFloat(commands.sum())):
+                CheckFinite(self, context, self._state, ToList(state))
+                CheckFinite(self, context, "the field's value or Jacobian", ToList(field))
+                CheckFinite(self, context, "the command", ToList(commands))
             if not self._feedforward:
-                output.SetZero()
-                return
-            field, state, speed, altitude = self._Inputs(context)
-            dim = self._field.dim
-            v_WB = state[VELOCITY_OFFSET : VELOCITY_OFFSET + 3]
-            acceleration = []
-            for row in range(dim, dim + dim * dim, dim):
-                J_v = sum(map(operator.mul, field[row : row + dim], v_WB))
-                acceleration.append(speed * J_v)
-            if dim == 2:
-                climb = ALTITUDE_GAIN * (altitude - state[2])
-                # The rate of the limited command is zero at its limit.
-                limited = abs(climb) > MAX_CLIMB_RATE
-                acceleration.append(0.0 if limited else -ALTITUDE_GAIN * v_WB[2])
-            output.SetFromVector(ToVector(T, acceleration))
+                commands[3:] = T(0.0)
+            value.get_mutable_value().SetFromVector(commands)
+
+        def _CopyVelocityCommand(self, context: Any, output: Any) -> None:
+            output.SetFromVector(self._commands.Eval(context).CopyToVector()[:3])
+
+        def _CopyAccelerationFeedforward(self, context: Any, output: Any) -> None:
+            output.SetFromVector(self._commands.Eval(context).CopyToVector()[3:])
+
+        def _CalcSpeed(self, context: Any, output: Any) -> None:
+            output.SetAtIndex(0, self.GetSpeed(context))
 
     return Impl
 
 
 GuidanceSystem = GuidanceSystem_[None]
+
+
+@compilable
+def _CalcCommands(
+    field: np.ndarray, state: np.ndarray, speed: Scalar, altitude: Scalar, commands: np.ndarray
+) -> np.ndarray:
+    """Fills in the commands (6,) from m and J by rows, the vehicle's state, the parameters."""
+    dim = 2 if len(field) == 6 else 3
+    v_WB = state[VELOCITY_OFFSET:]
+    for i in range(dim):
+        row = field[dim + dim * i :]
+        J_v = row[0] * v_WB[0] + row[1] * v_WB[1]
+        if dim == 3:
+            J_v += row[2] * v_WB[2]
+        commands[i] = speed * field[i]
+        commands[3 + i] = speed * J_v
+    if dim == 2:
+        climb = Tanh(ALTITUDE_GAIN * (altitude - state[2]) / MAX_CLIMB_RATE)
+        commands[2] = MAX_CLIMB_RATE * climb
+        commands[5] = -ALTITUDE_GAIN * (1.0 - climb * climb) * v_WB[2]
+    return commands
+
+
+def _CalcCommandsInPython(
+    field: np.ndarray, state: np.ndarray, speed: Scalar, altitude: Scalar
+) -> np.ndarray:
+    commands = _CalcCommands(field, state, speed, altitude, np.empty(6, object))
+    if not np.isfinite(ToList(state)).all():
+        commands[:] = np.nan
+    return commands
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _CalcCommandsCompiled(
+    field: np.ndarray, state: np.ndarray, speed: float, altitude: float
+) -> np.ndarray:
+    commands = _CalcCommands(field, state, speed, altitude, np.empty(6))
+    # Attitude and rates do not enter the commands, but must not pass as good either.
+    if not np.isfinite(state).all():
+        commands[:] = np.nan
+    return commands
+
+
+class _FlownField(NamedTuple):
+    """A field of one approach length, and what evaluates it at one point: see `EvalField`."""
+
+    field: Field
+    evaluate: Callable[[np.ndarray], np.ndarray]
+
+
+def _Fly(field: Field, T: type, approach_length: float) -> _FlownField:
+    if isinstance(field, AdjustableField):
+        CheckPositiveParameter("approach_length", approach_length)
+        if approach_length != field.approach_length:
+            field = field.with_approach_length(approach_length)
+    if T is float and isinstance(field, CompilableField):
+        return _FlownField(field, field.compiled().evaluate)
+    return _FlownField(field, partial(EvalField, field))

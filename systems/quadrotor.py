@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from functools import cached_property
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,22 @@ STATE_SIZE = 12
 """QuadrotorPlant's state: p_WB, roll-pitch-yaw, v_WB, rates of roll-pitch-yaw."""
 
 NUM_PROPELLERS = 4
+
+
+class Rotors(NamedTuple):
+    """Where the propellers stand and what each can give, as plain numbers for the mixing.
+
+    Attributes:
+        arm_length: From the centre of mass to a motor in m.
+        yaw_arm: The yaw torque of a propeller per newton of its force, in m.
+        max_force: The greatest force of one propeller in N.
+        force_constant: Newtons per unit of the plant's input.
+    """
+
+    arm_length: float
+    yaw_arm: float
+    max_force: float
+    force_constant: float
 
 
 @dataclass(frozen=True)
@@ -115,6 +131,13 @@ class QuadrotorParameters:
     def yaw_arm(self) -> float:
         """The ratio kM / kF in m: the yaw torque of a propeller per newton of its force."""
         return self.moment_constant / self.force_constant
+
+    @cached_property
+    def rotors(self) -> Rotors:
+        """What the mixing needs to know of the propellers."""
+        return Rotors(
+            self.arm_length, self.yaw_arm, self.max_propeller_force, self.force_constant
+        )
 
     def MixingMatrix(self) -> NDArray[np.float64]:
         """Returns the (4, 4) matrix from propeller forces in N to thrust and torque.

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pydrake.autodiffutils
 from pydrake.autodiffutils import AutoDiffXd
-import pydrake.math
 
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
 from sgvf_drake.fields.base import Field
@@ -22,9 +21,9 @@ SCALARS = (float, AutoDiffXd)
 """The scalar types of every system here.  A learned field has no symbolic form."""
 
 
-def MathOf(T: type) -> Any:
-    """Returns the namespace with `sin`, `cos` and `sqrt` for the scalar type T."""
-    return math if T is float else pydrake.math
+def ToFloat(value: Scalar) -> float:
+    """Returns the value without its gradient."""
+    return value.value() if isinstance(value, AutoDiffXd) else float(value)
 
 
 def ToList(x: np.ndarray) -> list[float]:
@@ -55,40 +54,50 @@ def EvalFieldValue(field: Field, x: np.ndarray) -> np.ndarray:
     return _ad.InitializeAutoDiff(m.reshape(-1), dm.reshape(m.size, -1)).reshape(x.shape)
 
 
-def EvalField(field: Field, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Returns m(x) of shape (d,) and J(x) of shape (d, d) in x's scalar type.
+def EvalField(field: Field, x: np.ndarray) -> np.ndarray:
+    """Returns m(x) and J(x) by rows, flattened to (d + d^2,), in the scalar type of x (d,).
 
     As in `EvalFieldValue` the field only sees floats; dm = J dx and dJ = H dx.
     """
     if x.dtype != object:
-        return field.value_and_jacobian(x)
+        m, J = field.value_and_jacobian(x)
+        return np.concatenate((m, J.ravel()))
     values = _Values(x)
     m, J = field.value_and_jacobian(values)
     dx = _ad.ExtractGradient(x.reshape(-1, 1))
     # A gradient of size zero is a constant: it needs no Hessian.
     dJ = field.hessian(values) @ dx if dx.size else np.zeros((J.size, 0))
-    return (
-        _ad.InitializeAutoDiff(m, J @ dx).reshape(m.shape),
-        _ad.InitializeAutoDiff(J.reshape(-1), dJ.reshape(J.size, -1)).reshape(J.shape),
-    )
+    gradient = np.concatenate((J @ dx, dJ.reshape(J.size, -1)))
+    return _ad.InitializeAutoDiff(np.concatenate((m, J.ravel())), gradient)[:, 0]
 
 
 def CheckSpeed(speed: Scalar) -> None:
     """Raises ConfigurationError unless the speed in m/s is finite and not negative."""
-    if not (math.isfinite(_Float(speed)) and speed >= 0.0):
+    if not (math.isfinite(ToFloat(speed)) and speed >= 0.0):
         raise ConfigurationError(f"speed must be finite and not negative, got {speed}")
 
 
 def CheckFiniteParameter(name: str, value: Scalar) -> None:
     """Raises ConfigurationError unless the parameter is finite."""
-    if not math.isfinite(_Float(value)):
+    if not math.isfinite(ToFloat(value)):
         raise ConfigurationError(f"{name} must be finite, got {value}")
 
 
 def CheckPositiveParameter(name: str, value: Scalar) -> None:
     """Raises ConfigurationError unless the parameter is finite and positive."""
-    if not (math.isfinite(_Float(value)) and value > 0.0):
+    if not (math.isfinite(ToFloat(value)) and value > 0.0):
         raise ConfigurationError(f"{name} must be finite and positive, got {value}")
+
+
+def CheckConstant(name: str, value: Scalar) -> float:
+    """Returns the value of a parameter that nothing can be differentiated by.
+
+    Raises:
+        ConfigurationError: if it has a gradient that is not zero.
+    """
+    if isinstance(value, AutoDiffXd) and value.derivatives().any():
+        raise ConfigurationError(f"there is no derivative by {name}")
+    return ToFloat(value)
 
 
 def CheckFinite(system: Any, context: Any, quantity: Any, values: Sequence[float]) -> None:
@@ -110,7 +119,7 @@ def CheckFinite(system: Any, context: Any, quantity: Any, values: Sequence[float
         quantity = f"input port '{quantity.get_name()}'"
     name = system.GetSystemPathname() if system.get_name() else type(system).__name__
     raise NonFiniteValueError(
-        f"{name}: {quantity} is not finite at t = {_Float(context.get_time()):.6g} s: {values}"
+        f"{name}: {quantity} is not finite at t = {ToFloat(context.get_time()):.6g} s: {values}"
     )
 
 
@@ -132,7 +141,3 @@ def CheckFiniteAgents(system: Any, context: Any, quantity: str, values: np.ndarr
 
 def _Values(x: np.ndarray) -> np.ndarray:
     return _ad.ExtractValue(x.reshape(-1, 1)).reshape(x.shape)
-
-
-def _Float(value: Scalar) -> float:
-    return value.value() if isinstance(value, AutoDiffXd) else float(value)

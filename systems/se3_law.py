@@ -4,20 +4,18 @@ Source: T. Lee, M. Leok, N. H. McClamroch, "Geometric tracking control of a quad
 on SE(3)", IEEE Conference on Decision and Control, 2010: its attitude error, thrust and torque,
 for a commanded velocity and acceleration in place of a trajectory.
 
-The functions work on scalars instead of arrays because arrays of length three cost ten
-times more than floats, and a controller runs thousands of times a second.  They are
-generic: `xp` is `math` for float and `pydrake.math` for AutoDiffXd.  Square roots are taken
-only of values that cannot be zero, where their derivative would be infinite.
+The functions work on scalars and tuples: AutoDiffXd as they are, floats compiled (see
+`systems.scalar_math`).  Square roots are taken only of values that cannot be zero, where their
+derivative would be infinite.
 
 Notation: W is the world frame, z up; B the body frame, D the desired body frame.  A
 rotation is the tuple of its columns, so R_WB = (bx_W, by_W, bz_W).
 """
 
-from collections.abc import Sequence
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from systems.quadrotor import NUM_PROPELLERS, QuadrotorParameters
+from systems.scalar_math import Cos, Sin, Sqrt, compilable
 from systems.scalars import Scalar
 
 Vector3 = tuple[Scalar, Scalar, Scalar]
@@ -66,13 +64,34 @@ class Gains(NamedTuple):
     heading: Scalar
 
 
+class Body(NamedTuple):
+    """What the controller believes of the vehicle's rigid body.
+
+    Attributes:
+        mass: In kg.
+        I_xx: Moment of inertia about B's x axis in kg m^2.
+        I_yy: About B's y axis.
+        I_zz: About B's z axis.
+    """
+
+    mass: Scalar
+    I_xx: Scalar
+    I_yy: Scalar
+    I_zz: Scalar
+
+
+@compilable
 def CalcThrustAndTorque(
-    xp: Any,
-    parameters: QuadrotorParameters,
+    body: Body,
     gains: Gains,
-    state: Sequence[Scalar],
-    velocity_command: Sequence[Scalar],
-    acceleration_feedforward: Sequence[Scalar],
+    rpy: Vector3,
+    v_W: Vector3,
+    rpy_rates: Vector3,
+    velocity_command: Vector3,
+    acceleration_feedforward: Vector3,
+    gravity: float,
+    max_thrust: float,
+    saturate: bool,
 ) -> tuple[Scalar, Vector3]:
     """Returns the thrust along B's z axis in N and the torque about B's axes in N m.
 
@@ -80,60 +99,67 @@ def CalcThrustAndTorque(
     attitude at a fixed heading, and the torque tracks that attitude.
 
     Args:
-        xp: The namespace of the scalar functions.
-        parameters: The vehicle.
+        body: The mass and inertia that are believed.
         gains: The gains.
-        state: p_WB, roll-pitch-yaw, v_WB and rates of roll-pitch-yaw; SI units.
+        rpy: Roll, pitch and yaw in rad.
+        v_W: The velocity v_WB in W, m/s.
+        rpy_rates: The rates of roll, pitch and yaw in rad/s.
         velocity_command: v_cmd in W, m/s.
         acceleration_feedforward: a_ff in W, m/s^2.
+        gravity: In m/s^2.
+        max_thrust: Of all propellers together, in N.
+        saturate: Whether the thrust vector and the rates of the desired attitude are limited.
+            Without, the law is smooth wherever the thrust vector is not zero.
     """
-    vx, vy, vz = state[6:9]
+    vx, vy, vz = v_W
     ax, ay, az = acceleration_feedforward
     ux, uy, uz = velocity_command
-    m, k_v = parameters.mass, gains.velocity_gain
-    F_W = LimitThrust(
-        xp,
-        parameters,
-        (
-            m * (ax + k_v * (ux - vx)),
-            m * (ay + k_v * (uy - vy)),
-            m * (az + k_v * (uz - vz) + parameters.gravity),
-        ),
+    m, k_v, g = body.mass, gains.velocity_gain, gravity
+    F_W = (
+        m * (ax + k_v * (ux - vx)),
+        m * (ay + k_v * (uy - vy)),
+        m * (az + k_v * (uz - vz) + g),
     )
-    w_path = CalcTurnRate((vx, vy, vz), (ax, ay, az))
+    if saturate:
+        F_W = LimitThrust(m * g, max_thrust, F_W)
+    w_path = CalcTurnRate(v_W, acceleration_feedforward)
     # The demand turns with the path; the error k_v (v_cmd - v) is small or short.
     F_dot_W = Cross(w_path, (m * ax, m * ay, m * az))
     F_ddot_W = Cross(w_path, F_dot_W)
-    desired = CalcDesiredAttitude(xp, F_W, F_dot_W, F_ddot_W, gains.heading)
-    R_WB, w_WB_B = CalcAttitude(xp, state[3:6], state[9:12])
-    torque = CalcTorque(parameters, gains, R_WB, w_WB_B, *desired)
+    R_WD, w_WD_W, alpha_WD_W = CalcDesiredAttitude(
+        F_W, F_dot_W, F_ddot_W, gains.heading, saturate
+    )
+    R_WB, w_WB_B = CalcAttitude(rpy, rpy_rates)
+    torque = CalcTorque(body, gains, R_WB, w_WB_B, R_WD, w_WD_W, alpha_WD_W)
     return Dot(F_W, R_WB[2]), torque
 
 
-def LimitThrust(xp: Any, parameters: QuadrotorParameters, F_W: Vector3) -> Vector3:
+@compilable
+def LimitThrust(weight: Scalar, max_thrust: float, F_W: Vector3) -> Vector3:
     """Returns the thrust vector nearest in kind to F_W that the vehicle can point and give.
 
     The vertical part is kept first, so that a hard turn does not cost altitude; the
     horizontal part is then scaled down to `MAX_TILT` and to the available thrust.
 
     Args:
-        xp: The namespace of the scalar functions.
-        parameters: The vehicle.
+        weight: The weight that is believed, in N.
+        max_thrust: Of all propellers together, in N.
         F_W: The demanded thrust vector in N, in W.
     """
     x, y, z = F_W
-    weight = parameters.weight
-    spare = NUM_PROPELLERS * parameters.max_propeller_force - weight
+    spare = max_thrust - weight
     z = min(max(z, MIN_LIFT * weight), weight + LIFT_SHARE * spare)
     largest = weight + THRUST_SHARE * spare
-    limit = min((_MAX_SLOPE * z) ** 2, largest * largest - z * z)
+    # Zero where a body is believed that is too heavy to lift.
+    limit = max(min((_MAX_SLOPE * z) ** 2, largest * largest - z * z), 0.0)
     horizontal = x * x + y * y
     if horizontal > limit:
-        scale = xp.sqrt(limit / horizontal)
+        scale = Sqrt(limit / horizontal)
         x, y = x * scale, y * scale
     return x, y, z
 
 
+@compilable
 def CalcTurnRate(v_W: Vector3, a_W: Vector3) -> Vector3:
     """Returns the angular velocity at which the velocity turns, (v x a) / |v|^2, in rad/s.
 
@@ -150,29 +176,35 @@ def CalcTurnRate(v_W: Vector3, a_W: Vector3) -> Vector3:
     return x * scale, y * scale, z * scale
 
 
+@compilable
 def CalcDesiredAttitude(
-    xp: Any, F_W: Vector3, F_dot_W: Vector3, F_ddot_W: Vector3, heading: Scalar
+    F_W: Vector3,
+    F_dot_W: Vector3,
+    F_ddot_W: Vector3,
+    heading: Scalar,
+    saturate: bool = True,
 ) -> tuple[Rotation, Vector3, Vector3]:
     """Returns the desired attitude R_WD with its angular velocity and acceleration.
 
     D's z axis is along the thrust vector and its x axis is as near as possible to the
     heading (Lee et al. 2010).  The angular velocity in rad/s is that of
     this very construction at a fixed heading.  Its rate in rad/s^2 leaves out the part
-    along D's z axis, which does not move the thrust.  Both are expressed in W and limited.
+    along D's z axis, which does not move the thrust.  Both are expressed in W.
 
     Args:
-        xp: The namespace of the scalar functions.
         F_W: The thrust vector in N, in W; its tilt stays below `MAX_TILT`.
         F_dot_W: Its rate of change in N/s, in W.
         F_ddot_W: The rate of change of that in N/s^2, in W.
         heading: The desired yaw angle in rad.
+        saturate: Whether the angular velocity and acceleration are limited, to
+            `MAX_DESIRED_RATE` and `MAX_DESIRED_ANGULAR_ACCELERATION`.
     """
-    cx, cy = xp.cos(heading), xp.sin(heading)
-    s = 1.0 / xp.sqrt(Dot(F_W, F_W))
+    cx, cy = Cos(heading), Sin(heading)
+    s = 1.0 / Sqrt(Dot(F_W, F_W))
     bz = zx, zy, zz = F_W[0] * s, F_W[1] * s, F_W[2] * s
     # n = bz x heading; never short, because bz is never near the horizontal plane.
     nx, ny, nz = -zz * cy, zz * cx, zx * cy - zy * cx
-    r = 1.0 / xp.sqrt(nx * nx + ny * ny + nz * nz)
+    r = 1.0 / Sqrt(nx * nx + ny * ny + nz * nz)
     by = (nx * r, ny * r, nz * r)
     bx = Cross(by, bz)
     shrink = s * Dot(bz, F_dot_W)
@@ -195,13 +227,13 @@ def CalcDesiredAttitude(
         ),
     )
     alpha_WD_W = (ax + spin * dx, ay + spin * dy, az + spin * dz)
-    return (
-        (bx, by, bz),
-        _Limit(xp, w_WD_W, MAX_DESIRED_RATE),
-        _Limit(xp, alpha_WD_W, MAX_DESIRED_ANGULAR_ACCELERATION),
-    )
+    if saturate:
+        w_WD_W = _Limit(w_WD_W, MAX_DESIRED_RATE)
+        alpha_WD_W = _Limit(alpha_WD_W, MAX_DESIRED_ANGULAR_ACCELERATION)
+    return (bx, by, bz), w_WD_W, alpha_WD_W
 
 
+@compilable
 def CalcAttitudeError(R_WD: Rotation, R_WB: Rotation) -> Vector3:
     """Returns e_R = 1/2 (R_WD^T R_WB - R_WB^T R_WD)^vee (Lee et al. 2010).
 
@@ -216,8 +248,9 @@ def CalcAttitudeError(R_WD: Rotation, R_WB: Rotation) -> Vector3:
     )
 
 
+@compilable
 def CalcTorque(
-    parameters: QuadrotorParameters,
+    body: Body,
     gains: Gains,
     R_WB: Rotation,
     w_WB_B: Vector3,
@@ -232,7 +265,7 @@ def CalcTorque(
         M = J (-wn^2 e_R - 2 zeta wn e_w) + w x J w - J (w x R^T R_d w_d - R^T R_d w_d')
 
     Args:
-        parameters: The vehicle.
+        body: For J.
         gains: For wn and zeta.
         R_WB: The attitude.
         w_WB_B: The angular velocity in B, rad/s.
@@ -240,7 +273,7 @@ def CalcTorque(
         w_WD_W: The desired angular velocity R_d w_d in W, rad/s.
         alpha_WD_W: Its rate R_d w_d' in W, rad/s^2.
     """
-    Jx, Jy, Jz = parameters.inertia
+    _, Jx, Jy, Jz = body
     wn = gains.attitude_bandwidth
     k_R, k_w = wn * wn, 2.0 * gains.damping_ratio * wn
     ex, ey, ez = CalcAttitudeError(R_WD, R_WB)
@@ -257,21 +290,19 @@ def CalcTorque(
     )
 
 
-def CalcAttitude(
-    xp: Any, rpy: Sequence[Scalar], rpy_rates: Sequence[Scalar]
-) -> tuple[Rotation, Vector3]:
+@compilable
+def CalcAttitude(rpy: Vector3, rpy_rates: Vector3) -> tuple[Rotation, Vector3]:
     """Returns R_WB = Rz(yaw) Ry(pitch) Rx(roll) and w_WB_B in rad/s.
 
     Args:
-        xp: The namespace of the scalar functions.
         rpy: Roll, pitch and yaw in rad.
         rpy_rates: Their rates in rad/s, which are not the body's angular velocity.
     """
     roll, pitch, yaw = rpy
     roll_rate, pitch_rate, yaw_rate = rpy_rates
-    sr, cr = xp.sin(roll), xp.cos(roll)
-    sp, cp = xp.sin(pitch), xp.cos(pitch)
-    sy, cy = xp.sin(yaw), xp.cos(yaw)
+    sr, cr = Sin(roll), Cos(roll)
+    sp, cp = Sin(pitch), Cos(pitch)
+    sy, cy = Sin(yaw), Cos(yaw)
     R_WB = (
         (cy * cp, sy * cp, -sp),
         (cy * sp * sr - sy * cr, sy * sp * sr + cy * cr, cp * sr),
@@ -285,11 +316,13 @@ def CalcAttitude(
     return R_WB, w_WB_B
 
 
+@compilable
 def Dot(a: Vector3, b: Vector3) -> Scalar:
     """Returns a . b."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
+@compilable
 def Cross(a: Vector3, b: Vector3) -> Vector3:
     """Returns a x b."""
     return (
@@ -299,10 +332,11 @@ def Cross(a: Vector3, b: Vector3) -> Vector3:
     )
 
 
-def _Limit(xp: Any, a: Vector3, largest: float) -> Vector3:
+@compilable
+def _Limit(a: Vector3, largest: float) -> Vector3:
     """Returns the vector, shortened to the largest length."""
     square = Dot(a, a)
     if square <= largest * largest:
         return a
-    scale = largest / xp.sqrt(square)
+    scale = largest / Sqrt(square)
     return a[0] * scale, a[1] * scale, a[2] * scale

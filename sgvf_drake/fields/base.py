@@ -41,3 +41,18 @@ class AdjustableField(Field, Protocol):
 
     def with_approach_length(self, length: float) -> Field:
         """Returns the same field with another approach length."""
+
+
+class PointField(Protocol):
+    """What evaluates a field at one point at the least cost."""
+
+    def evaluate(self, point: FloatArray) -> FloatArray:
+        """Returns m and then J by rows, flattened: (d,) -> (d + d^2,)."""
+
+
+@runtime_checkable
+class CompilableField(Field, Protocol):
+    """A field that has a compiled form for single points."""
+
+    def compiled(self) -> PointField:
+        """Returns the field's compiled form."""

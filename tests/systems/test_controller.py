@@ -8,7 +8,7 @@ from pydrake.systems.framework import DiagramBuilder
 import pytest
 
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
-from systems import DEFAULT_GAINS, GuidanceSystem, QuadrotorParameters, Se3Controller
+from systems import DEFAULT_GAINS, Body, GuidanceSystem, QuadrotorParameters, Se3Controller
 
 F_MAX = QuadrotorParameters().max_propeller_force
 INPUTS = (("state", 12), ("velocity_command", 3), ("acceleration_feedforward", 3))
@@ -128,6 +128,95 @@ def test_turning_and_moving_the_world_changes_nothing(seed, turn, shift):
     )
 
 
+def wild_inputs(count, seed=0):
+    """Inputs far beyond what the vehicle can do, where everything is limited."""
+    rng = np.random.default_rng(seed)
+    return rng.uniform(-1.0, 1.0, (count, 18)) * np.repeat([9, 1.2, 9, 9, 30], [3, 3, 3, 3, 6])
+
+
+@pytest.mark.parametrize("saturate", [True, False])
+@pytest.mark.parametrize("make_inputs", [random_inputs, wild_inputs])
+def test_compiled_law_is_the_law(make_inputs, saturate):
+    # Floats run compiled, AutoDiffXd in the interpreter: two translations of one source.
+    system = Se3Controller(saturate=saturate)
+    autodiff = system.ToAutoDiffXd()
+    for inputs in make_inputs(50):
+        forces = evaluate(autodiff, InitializeAutoDiff(inputs, np.zeros((18, 0)))[:, 0])
+        np.testing.assert_allclose(
+            evaluate(system, inputs), [force.value() for force in forces], rtol=1e-9, atol=1e-9
+        )
+
+
+def test_without_saturation_the_law_is_the_same_within_the_limits():
+    smooth = Se3Controller(saturate=False)
+    for inputs in random_inputs(20):
+        np.testing.assert_allclose(
+            evaluate(smooth, inputs), evaluate(CONTROLLER, inputs), rtol=1e-12
+        )
+
+
+def test_without_saturation_the_law_is_smooth_beyond_the_limits():
+    smooth = Se3Controller(saturate=False)
+    autodiff = smooth.ToAutoDiffXd()
+    beyond = [
+        inputs
+        for inputs in wild_inputs(10)
+        if np.ptp(np.clip(evaluate(smooth, inputs), 0.0, F_MAX) - evaluate(smooth, inputs)) > 0
+    ]
+    assert len(beyond) >= 5
+    for inputs in beyond:
+        gradient = ExtractGradient(
+            evaluate(autodiff, InitializeAutoDiff(inputs)[:, 0]).reshape(-1, 1)
+        )
+        coarse, fine = (
+            np.abs(differences(lambda x: evaluate(smooth, x), inputs, h) - gradient).max()
+            for h in (2e-3, 1e-3)
+        )
+        # Central differences of a smooth function: a half of the step, a quarter of the error.
+        assert fine < 0.3 * coarse
+
+
+def test_thrust_and_torque_grow_with_the_body_that_is_believed():
+    context, inputs = CONTROLLER.CreateDefaultContext(), random_inputs(1)[0]
+    body = CONTROLLER.GetBody(context)
+    assert body == (QuadrotorParameters().mass, *QuadrotorParameters().inertia)
+    start = 0
+    for name, size in INPUTS:
+        CONTROLLER.GetInputPort(name).FixValue(context, inputs[start : start + size])
+        start += size
+    mixing = QuadrotorParameters().MixingMatrix()
+    before = mixing @ CONTROLLER.get_output_port().Eval(context)
+    doubled = Body(*(2.0 * value for value in body))
+    CONTROLLER.SetBody(context, doubled)
+    after = mixing @ CONTROLLER.get_output_port().Eval(context)
+    np.testing.assert_allclose(after, 2.0 * before, rtol=1e-9)
+    assert CONTROLLER.GetBody(context.Clone()) == doubled
+
+
+def test_gain_or_body_of_zero_in_the_context_is_named():
+    for index, entry, name in (
+        (CONTROLLER.gains_index, 1, "attitude_bandwidth"),
+        (CONTROLLER.body_index, 0, "mass"),
+    ):
+        for system in (CONTROLLER, CONTROLLER.ToAutoDiffXd()):
+            context = system.CreateDefaultContext()
+            for port, size in INPUTS:
+                system.GetInputPort(port).FixValue(context, np.zeros(size))
+            context.get_mutable_numeric_parameter(index).SetAtIndex(entry, 0.0)
+            with pytest.raises(ConfigurationError, match=f"{name} must be .* positive"):
+                system.get_output_port().Eval(context)
+
+
+def test_a_body_too_heavy_to_lift_is_lifted_as_far_as_it_goes():
+    context = CONTROLLER.CreateDefaultContext()
+    for port, size in INPUTS:
+        CONTROLLER.GetInputPort(port).FixValue(context, np.ones(size))
+    CONTROLLER.SetBody(context, CONTROLLER.GetBody(context)._replace(mass=50.0))
+    forces = CONTROLLER.get_output_port().Eval(context)
+    assert np.all((forces >= 0.0) & (forces <= F_MAX))
+    assert forces.mean() > 0.5 * F_MAX
+
+
 def test_changed_gain_takes_effect_at_once_and_is_cloned():
     context = CONTROLLER.CreateDefaultContext()
     inputs = random_inputs(1)[0]
@@ -174,6 +263,14 @@ def test_bad_gain_is_named(name, value):
         Se3Controller(gains=gains)
     with pytest.raises(ConfigurationError, match=name):
         CONTROLLER.SetGains(CONTROLLER.CreateDefaultContext(), gains)
+
+
+@pytest.mark.parametrize(("name", "value"), [("mass", 0.0), ("I_yy", math.nan)])
+def test_bad_body_is_named(name, value):
+    context = CONTROLLER.CreateDefaultContext()
+    body = CONTROLLER.GetBody(context)._replace(**{name: value})
+    with pytest.raises(ConfigurationError, match=name):
+        CONTROLLER.SetBody(context, body)
 
 
 @pytest.mark.parametrize(

@@ -1,20 +1,16 @@
 """Widening a field to what a vehicle can turn, and why it is done."""
 
 import numpy as np
-from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import LogVectorOutput
+from pydrake.autodiffutils import InitializeAutoDiff
 import pytest
 
+from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import AdjustableField, Field
 from systems import (
-    AddGuidance,
-    AddMotionCapture,
     FieldForSpeed,
     GuidanceSystem,
     MakeFlightDiagram,
     MakeSimulator,
-    QuadrotorParameters,
-    Se3Controller,
     SetHover,
 )
 
@@ -76,27 +72,17 @@ class Fixed:
 
 def errors_of_flight(field, widen):
     """Signed cross-track errors of two laps, flown with the field as it is or widened."""
-    parameters = QuadrotorParameters()
-    builder = DiagramBuilder()
-    plant = builder.AddNamedSystem("plant", parameters.MakePlant())
-    if widen:
-        AddGuidance(builder, field, plant, parameters, speed=SPEED)
-    else:
-        measured = AddMotionCapture(builder, plant.GetOutputPort("state"))
-        guidance = builder.AddSystem(GuidanceSystem(field, SPEED))
-        controller = builder.AddSystem(Se3Controller(parameters))
-        for system in (guidance, controller):
-            builder.Connect(measured.get_output_port(), system.GetInputPort("state"))
-        for name in ("velocity_command", "acceleration_feedforward"):
-            builder.Connect(guidance.GetOutputPort(name), controller.GetInputPort(name))
-        builder.Connect(controller.get_output_port(), plant.get_input_port())
-    log = LogVectorOutput(plant.get_output_port(), builder, 0.01)
-    diagram = builder.Build()
+    diagram = MakeFlightDiagram(field, speed=SPEED)
     simulator = MakeSimulator(diagram)
     context = simulator.get_mutable_context()
     SetHover(diagram, context, (1.1, 0.0, 1.0))
+    if not widen:
+        guidance = diagram.GetSubsystemByName("guidance")
+        guidance.SetApproachLength(
+            guidance.GetMyMutableContextFromRoot(context), field.approach_length
+        )
     simulator.AdvanceTo(4 * np.pi / SPEED)
-    state = log.FindLog(context).data()
+    state = diagram.GetSubsystemByName("state_log").FindLog(context).data()
     return np.hypot(state[0], state[1]) - 1.0
 
 
@@ -125,11 +111,6 @@ def test_a_narrow_field_is_widened_to_the_rate(speed):
     assert field.approach_length == 0.1
 
 
-def test_the_rate_can_be_chosen():
-    wide = FieldForSpeed(NarrowCircle(0.1), 2.0, max_approach_rate=10.0)
-    assert wide.approach_length == pytest.approx(0.2)
-
-
 def test_a_field_that_cannot_be_adjusted_is_left_alone(circle_field):
     assert FieldForSpeed(circle_field, 100.0) is circle_field
 
@@ -147,8 +128,13 @@ def test_a_guiding_field_is_widened_and_its_path_stays(make_field):
 
 def test_flights_widen_their_field():
     diagram = MakeFlightDiagram(NarrowCircle(0.03), speed=SPEED)
-    flown = diagram.GetSubsystemByName("guidance").field
-    assert flown.approach_length == pytest.approx(SPEED / RATE)
+    guidance = diagram.GetSubsystemByName("guidance")
+    context = guidance.CreateDefaultContext()
+    assert guidance.GetFlownField(context).approach_length == pytest.approx(SPEED / RATE)
+    guidance.SetSpeed(context, 2.0)
+    assert guidance.GetFlownField(context).approach_length == pytest.approx(2.0 / RATE)
+    guidance.SetSpeed(context, 0.01)
+    assert guidance.GetFlownField(context).approach_length == 0.03
 
 
 def test_without_widening_a_flight_oscillates_across_the_path():
@@ -171,3 +157,28 @@ def test_the_unit_of_length_does_not_matter(make_field, factor):
     assert found.approach_length == pytest.approx(factor * 2.5)
     x = field.cloud.points[:5] + 0.1
     np.testing.assert_allclose(found(factor * x), expected(x), atol=1e-9)
+
+
+def test_the_approach_length_is_a_parameter_that_takes_effect_at_once():
+    field, state = NarrowCircle(0.03), np.array([1.1, *np.zeros(11)])
+    system = GuidanceSystem(field, SPEED)
+    context = system.CreateDefaultContext()
+    system.get_input_port().FixValue(context, state)
+    for length in (0.2, 0.05):
+        system.SetApproachLength(context, length)
+        expected = SPEED * field.with_approach_length(length)(state[:2])
+        for owner in (context, context.Clone()):
+            command = system.GetOutputPort("velocity_command").Eval(owner)
+            np.testing.assert_allclose(command[:2], expected, rtol=1e-12)
+    with pytest.raises(ConfigurationError, match="approach_length"):
+        system.SetApproachLength(context, 0.0)
+
+
+def test_there_is_no_derivative_by_the_approach_length():
+    system = GuidanceSystem(NarrowCircle(0.03), SPEED).ToAutoDiffXd()
+    context = system.CreateDefaultContext()
+    system.get_input_port().FixValue(context, np.array([1.1, *np.zeros(11)]))
+    parameters = InitializeAutoDiff(np.array([SPEED, 1.0, 0.5]))[:, 0]
+    context.get_mutable_numeric_parameter(system.parameter_index).SetFromVector(parameters)
+    with pytest.raises(ConfigurationError, match="no derivative by approach_length"):
+        system.GetOutputPort("velocity_command").Eval(context)

@@ -33,8 +33,6 @@ def random_states(count, seed=0):
     angle, radius = rng.uniform(0.0, 2.0 * math.pi, count), rng.uniform(0.5, 1.6, count)
     states[:, 0], states[:, 1] = radius * np.cos(angle), radius * np.sin(angle)
     states[:, 2] += 1.0
-    # The altitude's command has a kink at its limit, where no derivative is right.
-    states[:, 2] = np.clip(states[:, 2], 0.75, 1.25)
     return states
 
 
@@ -50,8 +48,17 @@ def test_planar_field_guides_the_plane_and_holds_the_altitude(circle_field):
     m, J = circle_field.value_and_jacobian(state[:2])
     np.testing.assert_allclose(command[:2], 0.7 * m, rtol=1e-14)
     assert np.linalg.norm(command[:2]) == pytest.approx(0.7)
-    assert command[2] == pytest.approx(ALTITUDE_GAIN * (1.2 - state[2]))
+    climb = MAX_CLIMB_RATE * math.tanh(ALTITUDE_GAIN * (1.2 - state[2]) / MAX_CLIMB_RATE)
+    assert command[2] == pytest.approx(climb)
     np.testing.assert_allclose(acceleration[:2], 0.7 * J @ state[6:8], rtol=1e-14)
+    slope = -ALTITUDE_GAIN * (1.0 - (climb / MAX_CLIMB_RATE) ** 2)
+    assert acceleration[2] == pytest.approx(slope * state[8])
+
+
+def test_small_altitude_errors_are_answered_in_proportion(circle_field):
+    state = random_states(1)[0]
+    command, acceleration = evaluate(GuidanceSystem(circle_field, 0.7, state[2] + 1e-4), state)
+    assert command[2] == pytest.approx(ALTITUDE_GAIN * 1e-4)
     assert acceleration[2] == pytest.approx(-ALTITUDE_GAIN * state[8])
 
 
@@ -64,7 +71,7 @@ def test_spatial_field_guides_all_three(spatial_circle_field):
 
 
 @pytest.mark.parametrize(
-    ("altitude", "climb"), [(5.0, MAX_CLIMB_RATE), (-3.0, -MAX_CLIMB_RATE)]
+    ("altitude", "climb"), [(50.0, MAX_CLIMB_RATE), (-30.0, -MAX_CLIMB_RATE)]
 )
 def test_climb_rate_is_limited_and_its_feedforward_with_it(circle_field, altitude, climb):
     state = random_states(1)[0]
@@ -132,6 +139,7 @@ def test_both_outputs_share_one_evaluation_of_the_field(circle_field):
 def test_changed_parameters_take_effect_at_once(circle_field):
     system = GuidanceSystem(circle_field, speed=0.45, altitude=1.0)
     context, state = system.CreateDefaultContext(), random_states(1)[0]
+    state[2] = 1.0
     system.get_input_port().FixValue(context, state)
     ports = [system.GetOutputPort(name) for name in PORTS]
     slow = [port.Eval(context).copy() for port in ports]
@@ -142,8 +150,10 @@ def test_changed_parameters_take_effect_at_once(circle_field):
     command, acceleration = (port.Eval(context) for port in ports)
     np.testing.assert_allclose(command[:2], 2.0 * slow[0][:2])
     np.testing.assert_allclose(acceleration[:2], 2.0 * slow[1][:2])
-    assert command[2] - slow[0][2] == pytest.approx(0.1 * ALTITUDE_GAIN)
-    assert circle_field.calls == calls  # The field does not depend on them.
+    assert slow[0][2] == 0.0
+    assert command[2] == pytest.approx(math.tanh(0.1 * ALTITUDE_GAIN))
+    assert system.GetOutputPort("speed").Eval(context) == 0.9
+    assert circle_field.calls == calls + 1
 
 
 def test_outputs_follow_the_state(circle_field):
@@ -211,3 +221,12 @@ def test_state_that_is_not_finite_is_named(circle_field, index):
 def test_field_that_is_not_finite_is_named(value):
     with pytest.raises(NonFiniteValueError, match=r"GuidanceSystem.*the field's value"):
         evaluate(GuidanceSystem(ConstantField(2, value)), np.zeros(12))
+
+
+def test_a_fixed_field_has_no_approach_length_to_set(circle_field):
+    system = GuidanceSystem(circle_field)
+    context = system.CreateDefaultContext()
+    assert system.GetApproachLength(context) == 0.0
+    assert system.GetFlownField(context) is circle_field
+    with pytest.raises(ConfigurationError, match="approach length"):
+        system.SetApproachLength(context, 0.1)

@@ -12,7 +12,7 @@ MOST_ROLL = PARAMETERS.arm_length * F_MAX
 
 
 def mix(thrust, torque):
-    forces = np.array(CalcPropellerForces(PARAMETERS, thrust, tuple(torque)))
+    forces = np.array(CalcPropellerForces(PARAMETERS.rotors, thrust, tuple(torque), True))
     return forces, PARAMETERS.MixingMatrix() @ forces
 
 

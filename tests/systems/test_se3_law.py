@@ -18,6 +18,7 @@ from systems.se3_law import (
     MIN_LIFT,
     SLOW_SPEED,
     THRUST_SHARE,
+    Body,
     CalcAttitude,
     CalcAttitudeError,
     CalcDesiredAttitude,
@@ -26,6 +27,7 @@ from systems.se3_law import (
 )
 
 PARAMETERS = QuadrotorParameters()
+MAX_THRUST = 4 * PARAMETERS.max_propeller_force
 E3 = np.array([0.0, 0.0, 1.0])
 
 
@@ -59,12 +61,14 @@ def random_case(seed):
 
 def law(state, velocity_command, acceleration, gains=DEFAULT_GAINS):
     thrust, torque = CalcThrustAndTorque(
-        math,
-        PARAMETERS,
+        Body(PARAMETERS.mass, *PARAMETERS.inertia),
         gains,
-        state.tolist(),
+        *(state[k : k + 3].tolist() for k in (3, 6, 9)),
         velocity_command.tolist(),
         acceleration.tolist(),
+        PARAMETERS.gravity,
+        MAX_THRUST,
+        True,
     )
     return thrust, np.array(torque)
 
@@ -178,7 +182,7 @@ rates = st.floats(-10.0, 10.0)
 
 @given(st.tuples(angles, pitches, angles), st.tuples(rates, rates, rates))
 def test_attitude_agrees_with_drake(rpy, rpy_rates):
-    R_WB, w_WB_B = CalcAttitude(math, rpy, rpy_rates)
+    R_WB, w_WB_B = CalcAttitude(rpy, rpy_rates)
     expected = RollPitchYaw(np.array(rpy))
     np.testing.assert_allclose(
         np.array(R_WB).T, expected.ToRotationMatrix().matrix(), atol=1e-14
@@ -205,7 +209,9 @@ def test_attitude_error_points_from_desired_to_actual(axis):
 )
 def test_limited_thrust_can_be_pointed_and_given(F, thrust_to_weight):
     parameters = QuadrotorParameters(thrust_to_weight=thrust_to_weight)
-    x, y, z = limited = np.array(LimitThrust(math, parameters, F))
+    x, y, z = limited = np.array(
+        LimitThrust(parameters.weight, 4 * parameters.max_propeller_force, F)
+    )
     spare = (thrust_to_weight - 1.0) * parameters.weight
     assert math.hypot(x, y) <= math.tan(MAX_TILT) * z * (1.0 + 1e-12)
     assert np.linalg.norm(limited) <= (parameters.weight + THRUST_SHARE * spare) * (1 + 1e-12)
@@ -219,12 +225,12 @@ def test_limited_thrust_can_be_pointed_and_given(F, thrust_to_weight):
 
 
 def test_thrust_within_the_limits_is_not_changed():
-    assert LimitThrust(math, PARAMETERS, (3.0, -2.0, 5.0)) == (3.0, -2.0, 5.0)
+    assert LimitThrust(PARAMETERS.weight, MAX_THRUST, (3.0, -2.0, 5.0)) == (3.0, -2.0, 5.0)
 
 
 def test_desired_rates_are_limited():
     F, fast, faster = (0.0, 0.0, 4.5), (900.0, 0.0, 0.0), (0.0, 9e5, 0.0)
-    _, w, alpha = CalcDesiredAttitude(math, F, fast, faster, 0.0)
+    _, w, alpha = CalcDesiredAttitude(F, fast, faster, 0.0)
     assert np.linalg.norm(w) == pytest.approx(MAX_DESIRED_RATE)
     assert np.linalg.norm(alpha) == pytest.approx(MAX_DESIRED_ANGULAR_ACCELERATION)
 
