@@ -218,7 +218,7 @@ def _CalcForces(
     return a / k, b / k, c / k, d / k
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _CalcForcesCompiled(
     state: Any,
     velocity_command: Any,

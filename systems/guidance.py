@@ -309,7 +309,7 @@ def _CalcCommandsInPython(
     return commands
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _CalcCommandsCompiled(
     field: np.ndarray, state: np.ndarray, speed: float, altitude: float
 ) -> np.ndarray:

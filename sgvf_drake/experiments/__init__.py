@@ -1,6 +1,7 @@
 """Experiments: what the commands run, each as a Drake simulation with its results."""
 
 from sgvf_drake.experiments.demo import run_demo
+from sgvf_drake.experiments.feasibility import check_feasibility
 from sgvf_drake.experiments.figures import (
     log_density_figure,
     singularity_figure,
@@ -8,7 +9,7 @@ from sgvf_drake.experiments.figures import (
     tracking_figure,
     verification_figure,
 )
-from sgvf_drake.experiments.fly import FlightResult, check_feasibility, fly
+from sgvf_drake.experiments.fly import FlightResult, fly
 from sgvf_drake.experiments.follow import FollowResult, follow
 from sgvf_drake.experiments.importing import run_import
 from sgvf_drake.experiments.reference import choose_reference, scale_reference

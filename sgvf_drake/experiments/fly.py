@@ -1,27 +1,24 @@
 """Fly Drake's quadrotor along every piece of a path, and measure how well."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from pydrake.systems.framework import Context, Diagram
 
-from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
-from sgvf_drake.experiments.simulation import advance, read_log
+from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.experiments.feasibility import (
+    Feasibility,
+    check_feasibility,
+    lost_control_named,
+)
+from sgvf_drake.experiments.flight_log import FORCE_COLUMNS, LOG_PERIOD, simulate
 from sgvf_drake.fields import FloatArray, GuidingField
 from sgvf_drake.metrics import REACH_DISTANCE, REST_WINDOW, FollowMetrics, follow_metrics
 from sgvf_drake.paths import Reference, ReferencePath, TreeReference
 from sgvf_drake.progress import Progress, no_progress
-from systems import (
-    FieldForSpeed,
-    MakeFlightDiagram,
-    MakeSimulator,
-    QuadrotorParameters,
-    SetHover,
-)
+from systems import MakeFlightDiagram, QuadrotorParameters
 
 # The vehicle hovers this many U beside the path at the start.
 START_OFFSET = 0.5
@@ -30,38 +27,10 @@ WAY_IN = 4.0
 REST_S = 3.0
 # Waypoints are noisy; the direction of an end is that of this many U of the piece.
 END_SECTION = 1.0
-LOG_PERIOD = 0.01
 # Time for the take-off, after which saturation is judged.
 TAKE_OFF_S = 1.0
 # A propeller this close to a limit, relative to the limit, is saturated.
 SATURATION_MARGIN = 1e-6
-# Points of the reference at which the demand of the path is read.
-DEMAND_SAMPLES = 2_000
-STATE_COLUMNS = (
-    *("x", "y", "z", "roll", "pitch", "yaw"),
-    *("vx", "vy", "vz", "roll_rate", "pitch_rate", "yaw_rate"),
-)
-COMMAND_COLUMNS = ("vx_command", "vy_command", "vz_command")
-FORCE_COLUMNS = ("force_1", "force_2", "force_3", "force_4")
-
-
-@dataclass(frozen=True)
-class Feasibility:
-    """Whether the thrust allows a speed on the path.
-
-    Attributes:
-        demand: Largest speed^2 |J m| on the path, m/s^2: the acceleration of a vehicle
-            that moves exactly along the field.
-        limit: Horizontal acceleration that the thrust allows in level flight, m/s^2.
-    """
-
-    demand: float
-    limit: float
-
-    @property
-    def is_feasible(self) -> bool:
-        """Whether the demand stays below the limit."""
-        return self.demand < self.limit
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,22 +101,6 @@ class FlightResult:
         }
 
 
-def check_feasibility(
-    field: GuidingField, reference: Reference, speed: float, parameters: QuadrotorParameters
-) -> Feasibility:
-    """Compares the acceleration that the path demands with what the thrust allows.
-
-    The demand is that of the field as it is flown; see `systems.FieldForSpeed`.
-    """
-    if isinstance(reference, ReferencePath):
-        points = np.concatenate([piece.sample(DEMAND_SAMPLES) for piece in reference.pieces])
-    else:
-        points = field.cloud.points
-    m, J = FieldForSpeed(field, speed).value_and_jacobian(points)
-    turning = np.linalg.norm(np.einsum("nij,nj->ni", J, m), axis=1)
-    return Feasibility(speed**2 * float(turning.max()), parameters.max_horizontal_acceleration)
-
-
 def fly(
     field: GuidingField,
     reference: Reference,
@@ -213,26 +166,6 @@ def fly(
     return FlightResult(flights, feasibility, parameters)
 
 
-@contextmanager
-def lost_control_named(piece: int, speed: float, feasibility: Feasibility) -> Iterator[None]:
-    """Makes one clear error of a flight inside that loses control of the vehicle.
-
-    Raises:
-        ConfigurationError: in place of what Drake's plant raises then.
-    """
-    try:
-        yield
-    except (RuntimeError, NonFiniteValueError) as error:
-        # How Drake's plant shows that it is out of control: a pitch of 90 degrees.
-        if feasibility.is_feasible and "gimbal-lock" not in str(error):
-            raise
-        raise ConfigurationError(
-            f"the quadrotor lost control on piece {piece + 1} at {speed:g} m/s, where "
-            f"the path demands {feasibility.demand:.1f} m/s^2 and the thrust allows "
-            f"{feasibility.limit:.1f} m/s^2; choose a lower speed"
-        ) from error
-
-
 def flown_pieces(reference: Reference, unit_length: float) -> list[int]:
     """Returns the pieces long enough to fly: all but stray points, shorter than one U."""
     return [int(piece) for piece in np.flatnonzero(reference.lengths >= unit_length)]
@@ -296,30 +229,6 @@ def _first_section(points: FloatArray, length: float) -> FloatArray:
     far = np.linalg.norm(points - points[0], axis=1) > length
     count = int(np.argmax(far)) if far.any() else len(points)
     return points[: max(count, 2)]
-
-
-def simulate(
-    diagram: Diagram, start: FloatArray, duration: float, progress: Progress = no_progress
-) -> tuple[pd.DataFrame, float]:
-    """Flies from a hover at `start` (3,); returns the log and the wall time in seconds."""
-    simulator = MakeSimulator(diagram)
-    context = simulator.get_mutable_context()
-    SetHover(diagram, context, start)
-    wall_s = advance(simulator, duration, LOG_PERIOD, "fly", progress)
-    return flight_log(diagram, context), wall_s
-
-
-def flight_log(diagram: Diagram, context: Context) -> pd.DataFrame:
-    """Returns what the logs of a flight diagram hold, as one table."""
-    tables = []
-    for name, columns in (
-        ("state_log", STATE_COLUMNS),
-        ("velocity_command_log", COMMAND_COLUMNS),
-        ("propeller_force_log", FORCE_COLUMNS),
-    ):
-        times, values = read_log(diagram, context, name)
-        tables.append(pd.DataFrame(values, columns=list(columns)))
-    return pd.concat([pd.Series(times, name="time"), *tables], axis=1)
 
 
 def _metrics(

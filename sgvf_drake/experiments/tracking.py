@@ -10,15 +10,9 @@ from pydrake.systems.framework import Diagram
 
 from sgvf_drake.arrays import BoolArray, FloatArray
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.experiments.fly import (
-    LOG_PERIOD,
-    check_feasibility,
-    flight_duration,
-    flight_log,
-    flown_pieces,
-    hover_start,
-    lost_control_named,
-)
+from sgvf_drake.experiments.feasibility import check_feasibility, lost_control_named
+from sgvf_drake.experiments.flight_log import LOG_PERIOD, flight_log
+from sgvf_drake.experiments.fly import flight_duration, flown_pieces, hover_start
 from sgvf_drake.experiments.simulation import advance, read_log
 from sgvf_drake.fields import Field, GuidingField
 from sgvf_drake.lyapunov import LyapunovFunction
