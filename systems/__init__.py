@@ -12,6 +12,7 @@ from systems.diagrams import (
     SetHover,
     SetVehicleState,
 )
+from systems.flight_trail import AddFlightTrail, FlightTrail
 from systems.guidance import FieldForSpeed, GuidanceSystem, GuidanceSystem_
 from systems.kinematic import (
     KinematicGuidance,
@@ -26,19 +27,36 @@ from systems.lyapunov_monitor import (
     LyapunovMonitor_,
 )
 from systems.quadrotor import QuadrotorParameters
+from systems.quadrotor_geometry import AddQuadrotorGeometry, QuadrotorGeometry
+from systems.scene_drawing import DrawField, DrawTube, DrawWaypoints
 from systems.se3_law import Body, Gains
 from systems.sensing import AddMotionCapture
 from systems.stop_on_exit import ExitWatch, StopOnExit, SublevelExit
+from systems.visualization import (
+    AddFlightVisualization,
+    FlightVisualization,
+    MakeMeshcat,
+    SaveRecording,
+    SetView,
+)
 
 __all__ = [
     "DEFAULT_GAINS",
+    "AddFlightTrail",
+    "AddFlightVisualization",
     "AddGuidance",
     "AddLyapunovMonitor",
     "AddMotionCapture",
+    "AddQuadrotorGeometry",
     "Body",
     "DifferentiableFunction",
+    "DrawField",
+    "DrawTube",
+    "DrawWaypoints",
     "ExitWatch",
     "FieldForSpeed",
+    "FlightTrail",
+    "FlightVisualization",
     "Gains",
     "GuidanceParts",
     "GuidanceSystem",
@@ -49,13 +67,17 @@ __all__ = [
     "LyapunovMonitor_",
     "MakeFlightDiagram",
     "MakeKinematicDiagram",
+    "MakeMeshcat",
     "MakeSimulator",
+    "QuadrotorGeometry",
     "QuadrotorParameters",
+    "SaveRecording",
     "Se3Controller",
     "Se3Controller_",
     "SetHover",
     "SetPositions",
     "SetVehicleState",
+    "SetView",
     "StopOnExit",
     "SublevelExit",
 ]

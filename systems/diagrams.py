@@ -5,9 +5,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydrake.autodiffutils import AutoDiffXd
 from pydrake.examples import QuadrotorPlant
-from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPort, System
+from pydrake.geometry import Meshcat
+from pydrake.systems.analysis import ApplySimulatorConfig, Simulator_, SimulatorConfig
+from pydrake.systems.framework import (
+    Context,
+    Diagram,
+    DiagramBuilder,
+    OutputPort,
+    System,
+    System_,
+)
 from pydrake.systems.primitives import Demultiplexer, LogVectorOutput
 
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
@@ -22,10 +31,14 @@ from systems.guidance import (
 from systems.lyapunov_monitor import AddLyapunovMonitor, DifferentiableFunction
 from systems.quadrotor import STATE_SIZE, QuadrotorParameters
 from systems.sensing import DEFAULT_SAMPLE_PERIOD, AddMotionCapture
+from systems.visualization import AddFlightVisualization
 
 INTEGRATION_STEP = 0.005
 """s; the fixed step of "runge_kutta3".  Halving it moves a flight on a circle of 1 m by less
 than 1 um at 2 m/s, and by less than 10 um at 4 m/s."""
+
+
+_AutoDiffSystem = System_[AutoDiffXd]
 
 
 class GuidanceParts(NamedTuple):
@@ -120,6 +133,7 @@ def MakeFlightDiagram(
     feedforward: bool = True,
     lyapunov: DifferentiableFunction | None = None,
     level: float = math.inf,
+    meshcat: Meshcat | None = None,
 ) -> Diagram:
     """Returns the diagram of a quadrotor that follows a guiding vector field.
 
@@ -144,6 +158,8 @@ def MakeFlightDiagram(
         feedforward: As in `GuidanceSystem`.
         lyapunov: A Lyapunov function V of dimension 2 or 3; None: there is no monitor.
         level: Of the sublevel set of V that is watched.
+        meshcat: Shows the flight; see `AddFlightVisualization`.  The diagram can then not be
+            converted to AutoDiffXd.
 
     Raises:
         ConfigurationError: if an argument cannot be used.
@@ -179,6 +195,8 @@ def MakeFlightDiagram(
             level=level,
             log_period=log_period,
         )
+    if meshcat is not None:
+        AddFlightVisualization(builder, plant.GetOutputPort("state"), parameters, meshcat)
     diagram = builder.Build()
     diagram.set_name("flight")
     return diagram
@@ -196,17 +214,20 @@ def _VelocityPort(builder: DiagramBuilder, plant: System, dim: int) -> OutputPor
     return parts.get_output_port(1)
 
 
-def MakeSimulator(
-    diagram: Diagram, context: Context | None = None, step: float = INTEGRATION_STEP
-) -> Simulator:
+def MakeSimulator(diagram: Any, context: Any = None, step: float = INTEGRATION_STEP) -> Any:
     """Returns a simulator with the fixed-step integrator that the results were made with.
 
     Args:
-        diagram: From `MakeFlightDiagram` or `MakeKinematicDiagram`.
+        diagram: From `MakeFlightDiagram` or `MakeKinematicDiagram`, or one of them in
+            AutoDiffXd, for the derivatives of a simulation.
         context: Of the diagram; by default a new one.
         step: Of the integrator in s.
+
+    Returns:
+        Drake's Simulator_[T], for the diagram's scalar type T.
     """
-    simulator = Simulator(diagram) if context is None else Simulator(diagram, context)
+    simulator_class = Simulator_[AutoDiffXd if isinstance(diagram, _AutoDiffSystem) else float]
+    simulator = simulator_class(*(arg for arg in (diagram, context) if arg is not None))
     config = SimulatorConfig(
         integration_scheme="runge_kutta3",
         max_step_size=step,

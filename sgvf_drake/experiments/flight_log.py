@@ -1,9 +1,11 @@
 """A flight simulated from a hover, and its logs as one table."""
 
+from contextlib import nullcontext
 
 import pandas as pd
 from pydrake.systems.framework import Context, Diagram
 
+from sgvf_drake.experiments.scene import FlightScene
 from sgvf_drake.experiments.simulation import advance, read_log
 from sgvf_drake.fields import FloatArray
 from sgvf_drake.progress import Progress, no_progress
@@ -19,13 +21,28 @@ FORCE_COLUMNS = ("force_1", "force_2", "force_3", "force_4")
 
 
 def simulate(
-    diagram: Diagram, start: FloatArray, duration: float, progress: Progress = no_progress
+    diagram: Diagram,
+    start: FloatArray,
+    duration: float,
+    progress: Progress = no_progress,
+    scene: FlightScene | None = None,
+    name: str = "flight",
 ) -> tuple[pd.DataFrame, float]:
-    """Flies from a hover at `start` (3,); returns the log and the wall time in seconds."""
+    """Flies from a hover; returns the log and the wall time in seconds.
+
+    Args:
+        diagram: From `MakeFlightDiagram`.
+        start: p_WB of the hover, (3,) in m.
+        duration: In s.
+        progress: Told how far it is.
+        scene: Shows the flight; the diagram was made with its meshcat.
+        name: Of the flight, and of the page that the scene leaves.
+    """
     simulator = MakeSimulator(diagram)
     context = simulator.get_mutable_context()
     SetHover(diagram, context, start)
-    wall_s = advance(simulator, duration, LOG_PERIOD, "fly", progress)
+    with nullcontext() if scene is None else scene.show(simulator, name):
+        wall_s = advance(simulator, duration, LOG_PERIOD, "fly", progress)
     return flight_log(diagram, context), wall_s
 
 

@@ -14,6 +14,7 @@ from sgvf_drake.experiments.feasibility import (
     lost_control_named,
 )
 from sgvf_drake.experiments.flight_log import FORCE_COLUMNS, LOG_PERIOD, simulate
+from sgvf_drake.experiments.scene import FlightScene
 from sgvf_drake.fields import FloatArray, GuidingField
 from sgvf_drake.metrics import REACH_DISTANCE, REST_WINDOW, FollowMetrics, follow_metrics
 from sgvf_drake.paths import Reference, ReferencePath, TreeReference
@@ -109,6 +110,7 @@ def fly(
     altitude: float = 1.0,
     parameters: QuadrotorParameters | None = None,
     progress: Progress = no_progress,
+    scene: FlightScene | None = None,
 ) -> FlightResult:
     """Flies the quadrotor along every piece, each from an off-path hover.
 
@@ -124,6 +126,7 @@ def fly(
         altitude: Height of the flight where the field is planar, m.
         parameters: The vehicle; None: the paper's.
         progress: Told how far each simulation is.
+        scene: Shows the flights; None: nothing does.
 
     Raises:
         ConfigurationError: A value cannot be used, the field is neither planar nor
@@ -138,8 +141,15 @@ def fly(
     if not (np.isfinite(altitude) and altitude > 0):
         raise ConfigurationError(f"the altitude must be a positive number, not {altitude}")
     diagram = MakeFlightDiagram(
-        field, parameters, speed=speed, altitude=altitude, log_period=LOG_PERIOD
+        field,
+        parameters,
+        speed=speed,
+        altitude=altitude,
+        log_period=LOG_PERIOD,
+        meshcat=None if scene is None else scene.meshcat,
     )
+    if scene is not None:
+        scene.draw(field, speed, altitude)
     pieces = flown_pieces(reference, field.cloud.unit_length)
     if not pieces:
         raise ConfigurationError(
@@ -153,7 +163,9 @@ def fly(
         start = hover_start(reference, piece, unit, altitude, field.ends)
         duration = flight_duration(reference, piece, unit, speed, laps)
         with lost_control_named(piece, speed, feasibility):
-            log, wall_s = simulate(diagram, start, duration, progress)
+            log, wall_s = simulate(
+                diagram, start, duration, progress, scene, f"flight_{piece + 1}"
+            )
         errors = reference.project(log[["x", "y", "z"][: field.dim]].to_numpy()).distance
         log["cross_track_error"] = errors
         metrics = _metrics(log, field, reference, speed)

@@ -1,0 +1,184 @@
+"""The way that a vehicle has flown, drawn as a line while it flies."""
+
+from typing import Any
+
+import numpy as np
+from pydrake.geometry import Meshcat, Rgba
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    DiagramBuilder,
+    LeafSystem,
+    OutputPort,
+)
+
+from sgvf_drake.arrays import FloatArray, IntArray
+from systems.quadrotor import STATE_SIZE
+from systems.scalars import CheckFinite, CheckPositiveParameter
+
+TRAIL_PATH = "/trail"
+
+TRAIL_COLOR = Rgba(0.0, 0.45, 0.70)
+
+TRAIL_WIDTH = 0.04
+"""m; as wide as the waypoints in a scene of 4 m are drawn."""
+
+SAMPLE_PERIOD = 1.0 / 32.0
+"""s; at 4 m/s on a circle of 1 m the chord is 2 mm off the arc."""
+
+DRAW_PERIOD = 1.0 / 4.0
+"""s; each drawing sends the whole line."""
+
+MAX_POINTS = 2048
+"""A minute at the first sample period; even, so that it can be halved."""
+
+
+class FlightTrail(LeafSystem):
+    """Draws the way that a vehicle has flown as one line in Meshcat.
+
+    .. pydrake_system::
+
+        name: FlightTrail
+        input_ports:
+        - state
+
+    `state` (12) is QuadrotorPlant's; the first three entries are p_WB in m.
+
+    The positions are sampled every `SAMPLE_PERIOD` and drawn every `DRAW_PERIOD`, and when
+    the system is forced to publish; see `DrawToEnd`.  When there are `MAX_POINTS`, every
+    second one is dropped and the period of the samples doubles, so that the cost of a long
+    flight is bounded.
+
+    The points are discrete state, which the initialization of a simulation clears: a second
+    flight starts a new trail.  The system exists for float only, as pictures do.
+
+    Meshcat does not animate lines: a recording shows the whole trail from its beginning on.
+
+    Args:
+        meshcat: Is drawn to.
+        path: Of the line in Meshcat's scene.
+        width: Of the line in m.
+
+    Raises:
+        ConfigurationError: if the width is not finite and positive.
+        NonFiniteValueError: on a sample, where the state is not finite.
+    """
+
+    def __init__(
+        self, meshcat: Meshcat, path: str = TRAIL_PATH, width: float = TRAIL_WIDTH
+    ) -> None:
+        super().__init__()
+        CheckPositiveParameter("width", width)
+        # Drake's stubs misname the type of every array.
+        self._meshcat: Any = meshcat
+        self._path = path
+        self._width = width
+        self._state: Any = self.DeclareVectorInputPort("state", STATE_SIZE)
+        self._points: Any = self.DeclareDiscreteState(3 * MAX_POINTS)
+        # How many points there are, how many samples lie from one to the next, and how many
+        # samples there were.
+        counts: Any = [0.0, 1.0, 0.0]
+        self._counts: Any = self.DeclareDiscreteState(BasicVector(counts))
+        self.DeclareInitializationDiscreteUpdateEvent(self._Clear)
+        self.DeclarePeriodicDiscreteUpdateEvent(SAMPLE_PERIOD, 0.0, self._Sample)
+        self.DeclarePeriodicPublishEvent(DRAW_PERIOD, 0.0, self._Draw)
+        self.DeclareForcedPublishEvent(self._Draw)
+
+    def GetPoints(self, context: Context) -> FloatArray:
+        """Returns the points of the trail so far, (n, 3) in m.
+
+        Args:
+            context: This system's own.
+        """
+        num_points = int(context.get_discrete_state(self._counts).GetAtIndex(0))
+        points = context.get_discrete_state(self._points).CopyToVector()
+        return points[: 3 * num_points].reshape(-1, 3)
+
+    def DrawToEnd(self, root_context: Context) -> None:
+        """Draws the trail up to where the vehicle is now, as after a flight.
+
+        The diagram's own ForcedPublish does so too, but then every log samples once more.
+
+        Args:
+            root_context: Of the whole diagram.
+        """
+        self.ForcedPublish(self.GetMyContextFromRoot(root_context))
+
+    def _Clear(self, context: Context, discrete: Any) -> None:
+        discrete.get_mutable_value(self._counts)[:] = [0.0, 1.0, 0.0]
+
+    def _Sample(self, context: Context, discrete: Any) -> None:
+        points = discrete.get_mutable_value(self._points).reshape(-1, 3)
+        counts = discrete.get_mutable_value(self._counts)
+        num_points, stride, num_samples = (int(count) for count in counts)
+        if num_samples % stride == 0:
+            if num_points == MAX_POINTS:
+                num_points //= 2
+                points[:num_points] = points[::2]
+                stride *= 2
+            points[num_points] = self._EvalPosition(context)
+            num_points += 1
+        counts[:] = num_points, stride, num_samples + 1
+
+    def _Draw(self, context: Context) -> None:
+        points = np.vstack((self.GetPoints(context), self._EvalPosition(context)))
+        if len(points) < 2:
+            # What the flight before has left there.
+            self._meshcat.Delete(self._path)
+            return
+        vertices, faces = _Ribbons(points, self._width)
+        self._meshcat.SetTriangleMesh(self._path, vertices.T, faces.T, TRAIL_COLOR)
+
+    def _EvalPosition(self, context: Context) -> FloatArray:
+        state = self._state.Eval(context)
+        CheckFinite(self, context, self._state, state.tolist())
+        return state[:3]
+
+
+def _Ribbons(points: FloatArray, width: float) -> tuple[FloatArray, IntArray]:
+    """Returns the vertices (6 n, 3) and triangles (6 (n - 1), 3) of three ribbons on a line.
+
+    One ribbon lies across each axis, so that one is seen broad from wherever it is looked
+    at, and standing still needs no care.  A browser draws plain lines one pixel wide.
+
+    Args:
+        points: Of the line, (n, 3) in m.
+        width: Of a ribbon in m.
+    """
+    n = len(points)
+    offsets = width / 2.0 * np.array([-np.eye(3), np.eye(3)])
+    # Vertex (axis, side, point) has the index (2 axis + side) n + point.
+    vertices = points + offsets.transpose(1, 0, 2)[:, :, np.newaxis, :]
+    first = (np.arange(n - 1) + 2 * n * np.arange(3)[:, np.newaxis]).ravel()
+    near = np.column_stack((first, first + 1, first + n))
+    far = np.column_stack((first + 1, first + n + 1, first + n))
+    return vertices.reshape(-1, 3), np.vstack((near, far))
+
+
+def AddFlightTrail(
+    builder: DiagramBuilder,
+    state_port: OutputPort,
+    meshcat: Meshcat,
+    path: str = TRAIL_PATH,
+    width: float = TRAIL_WIDTH,
+    name: str = "trail",
+) -> FlightTrail:
+    """Adds a `FlightTrail` and connects it.
+
+    Args:
+        builder: Is changed.
+        state_port: The vehicle's state (12), as QuadrotorPlant's.
+        meshcat: Is drawn to.
+        path: Of the line in Meshcat's scene.
+        width: Of the line in m.
+        name: Of the system.
+
+    Returns:
+        The system that was added.
+
+    Raises:
+        ConfigurationError: if the width is not finite and positive.
+    """
+    trail: Any = builder.AddNamedSystem(name, FlightTrail(meshcat, path, width))
+    builder.Connect(state_port, trail.get_input_port())
+    return trail

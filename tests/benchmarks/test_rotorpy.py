@@ -1,0 +1,295 @@
+"""The same circle flown by RotorPy and by this project, in one run.
+
+RotorPy (Folk, Paulos and Kumar 2023) is a quadrotor simulator in Python with an SE(3)
+controller that tracks a trajectory in time.  Both sides fly the same rigid body with the same
+motors from the same hover, sampled at 100 Hz; what follows the path differs:
+
+- RotorPy: its controller tracks its own circular trajectory, with its gains or with those of
+  the attitude loop here;
+- closed form: the control of this project alone, on a field that is known exactly;
+- learned: the field of 200 unordered waypoints on the circle.
+
+Without rotor dynamics on both sides: RotorPy lets its rotors follow with a time constant that
+cannot be zero, so here they are set to what is commanded before each step and then held.
+Drag is off.  RotorPy integrates with SciPy's RK45 at its default tolerance, Drake with
+runge_kutta3 at 5 ms.  RotorPy's own run has the sensors that it always simulates; "bare" is
+its vehicle, controller and trajectory in a loop without them and without a log.
+"""
+
+from collections.abc import Callable
+import time
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+import pytest
+from rotorpy.controllers.quadrotor_control import SE3Control
+from rotorpy.environments import Environment
+from rotorpy.trajectories.circular_traj import ThreeDCircularTraj
+from rotorpy.vehicles.multirotor import Multirotor
+from scipy.spatial.transform import Rotation
+
+import sgvf_drake as sgvf
+from systems import (
+    DEFAULT_GAINS,
+    MakeFlightDiagram,
+    MakeSimulator,
+    QuadrotorParameters,
+    SetHover,
+)
+
+pytestmark = pytest.mark.benchmark
+
+Save = Callable[[pd.DataFrame, str], None]
+
+
+class Flight(NamedTuple):
+    """Positions (n, 3) in m every 10 ms, and the wall time of the simulation in s."""
+
+    positions: np.ndarray
+    wall: float
+
+
+Run = Callable[[], Flight]
+RADIUS, ALTITUDE = 1.0, 1.0
+SPEEDS = (0.45, 2.0)
+SAMPLE_PERIOD = 0.01
+LAPS = 3
+REPEATS = 3
+START = np.array([RADIUS, 0.0, ALTITUDE])
+PARAMETERS = QuadrotorParameters()
+# RotorPy counts forces in squares of rotor speeds; any constant gives the same flight.
+THRUST_COEFFICIENT = 1e-6
+HOVER_SPEED = np.sqrt(PARAMETERS.hover_force / THRUST_COEFFICIENT)
+# The "+" layout of QuadrotorPlant.
+ROTOR_DIRECTIONS = ((1, 0, 0), (0, 1, 0), (-1, 0, 0), (0, -1, 0))
+
+
+def rotorpy_parameters() -> dict[str, Any]:
+    """The vehicle of `QuadrotorParameters` in RotorPy's words."""
+    Ixx, Iyy, Izz = PARAMETERS.inertia
+    no_drag = dict.fromkeys(("c_Dx", "c_Dy", "c_Dz", "k_d", "k_z", "k_h", "k_flap"), 0.0)
+    return {
+        "mass": PARAMETERS.mass,
+        **{"Ixx": Ixx, "Iyy": Iyy, "Izz": Izz, "Ixy": 0.0, "Ixz": 0.0, "Iyz": 0.0},
+        "num_rotors": 4,
+        "rotor_pos": {
+            f"r{i}": PARAMETERS.arm_length * np.array(direction, float)
+            for i, direction in enumerate(ROTOR_DIRECTIONS)
+        },
+        "rotor_directions": np.array([1, -1, 1, -1]),
+        "k_eta": THRUST_COEFFICIENT,
+        "k_m": PARAMETERS.yaw_arm * THRUST_COEFFICIENT,
+        **no_drag,
+        "tau_m": np.inf,
+        "rotor_speed_min": 0.0,
+        "rotor_speed_max": np.sqrt(PARAMETERS.max_propeller_force / THRUST_COEFFICIENT),
+        "motor_noise_std": 0.0,
+    }
+
+
+class InstantRotors(Multirotor):
+    """RotorPy's vehicle with rotors that are at once as fast as commanded."""
+
+    def step(self, state: Any, control: Any, t_step: float) -> Any:
+        speeds = np.clip(
+            self.get_cmd_motor_speeds(state, control),
+            self.rotor_speed_min,
+            self.rotor_speed_max,
+        )
+        return super().step({**state, "rotor_speeds": speeds}, control, t_step)
+
+
+def make_rotorpy(speed: float, own_gains: bool = True) -> Environment:
+    parameters = rotorpy_parameters()
+    if not own_gains:
+        wn, zeta = DEFAULT_GAINS.attitude_bandwidth, DEFAULT_GAINS.damping_ratio
+        parameters |= {"kp_att": wn**2, "kd_att": 2.0 * zeta * wn}
+    hover = {
+        "x": START,
+        "v": np.zeros(3),
+        "q": np.array([0.0, 0.0, 0.0, 1.0]),
+        "w": np.zeros(3),
+        "wind": np.zeros(3),
+        "rotor_speeds": np.full(4, HOVER_SPEED),
+    }
+    frequency = speed / (2.0 * np.pi * RADIUS)
+    return Environment(
+        vehicle=InstantRotors(parameters, initial_state=hover, aero=False),
+        controller=SE3Control(parameters),
+        trajectory=ThreeDCircularTraj(
+            center=np.array([0.0, 0.0, ALTITUDE]),
+            radius=np.array([RADIUS, RADIUS, 0.0]),
+            freq=np.array([frequency, frequency, 0.0]),
+        ),
+        sim_rate=1.0 / SAMPLE_PERIOD,
+    )
+
+
+def run_rotorpy(environment: Environment, duration: float) -> Flight:
+    """As RotorPy's users run it."""
+    begin = time.perf_counter()
+    result = environment.run(t_final=duration)
+    return Flight(result["state"]["x"], time.perf_counter() - begin)
+
+
+def run_rotorpy_bare(environment: Environment, duration: float) -> Flight:
+    """Nothing but vehicle, controller and trajectory."""
+    state = dict(environment.vehicle.initial_state)
+    positions = [state["x"]]
+    begin = time.perf_counter()
+    for k in range(round(duration / SAMPLE_PERIOD)):
+        t = k * SAMPLE_PERIOD
+        flat_output = environment.trajectory.update(t)
+        control = environment.controller.update(t, state, flat_output)
+        state = environment.vehicle.step(state, control, SAMPLE_PERIOD)
+        positions.append(state["x"])
+    return Flight(np.array(positions), time.perf_counter() - begin)
+
+
+def run_drake(field: sgvf.Field, speed: float, duration: float) -> Flight:
+    """As users of this project run it, with its logs."""
+    diagram = MakeFlightDiagram(field, speed=speed, altitude=ALTITUDE)
+    simulator = MakeSimulator(diagram)
+    context = simulator.get_mutable_context()
+    SetHover(diagram, context, START)
+    simulator.Initialize()
+    begin = time.perf_counter()
+    simulator.AdvanceTo(duration)
+    wall = time.perf_counter() - begin
+    log = diagram.GetSubsystemByName("state_log").FindLog(context)
+    return Flight(log.data()[:3].T, wall)
+
+
+class ClosedFormCircle:
+    """A field of length one around the unit circle, whose Jacobian is known.
+
+    With the direction to the axis -n, the tangent t and z = gain (1 - r), it is
+    (z n + t) / sqrt(1 + z^2).
+    """
+
+    dim = 2
+
+    def __init__(self, gain: float) -> None:
+        self._gain = gain
+
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        return self.value_and_jacobian(x)[0]
+
+    def value_and_jacobian(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        r = np.hypot(*x)
+        n = x / r
+        t = np.array([-n[1], n[0]])
+        z = self._gain * (1.0 - r)
+        c = 1.0 / np.sqrt(1.0 + z * z)
+        s = z * c
+        return s * n + c * t, np.outer(s * t - c * n, self._gain * c * c * n + t / r)
+
+    def hessian(self, x: np.ndarray) -> np.ndarray:
+        raise NotImplementedError
+
+
+@pytest.fixture(scope="module")
+def learned() -> sgvf.GuidingField:
+    """The field of 200 waypoints on the circle, in metres."""
+    cloud, path = sgvf.make_shape("circle")
+    scale = RADIUS / np.linalg.norm(path.pieces[0].vertices[0])
+    return sgvf.train(sgvf.PointCloud(scale * cloud.points)).field
+
+
+def cross_track_error(positions: np.ndarray, speed: float) -> dict[str, float]:
+    """Distance to the circle over the last lap."""
+    lap = positions[-round(2.0 * np.pi * RADIUS / speed / SAMPLE_PERIOD) :]
+    distance = np.hypot(np.hypot(lap[:, 0], lap[:, 1]) - RADIUS, lap[:, 2] - ALTITUDE)
+    return {
+        "cross_track_rms_m": float(np.sqrt(np.mean(distance**2))),
+        "cross_track_max_m": float(distance.max()),
+    }
+
+
+def flights(learned: sgvf.Field, speed: float, duration: float) -> dict[str, Run]:
+    """What is compared, by name."""
+    rotorpy = make_rotorpy(speed)
+    same_attitude_gains = make_rotorpy(speed, own_gains=False)
+    # As wide as a learned field is flown at 2 m/s.
+    closed_form = ClosedFormCircle(gain=2.0)
+    return {
+        "RotorPy": lambda: run_rotorpy(rotorpy, duration),
+        "RotorPy, bare": lambda: run_rotorpy_bare(rotorpy, duration),
+        "RotorPy, our attitude gains": lambda: run_rotorpy(same_attitude_gains, duration),
+        "closed-form field": lambda: run_drake(closed_form, speed, duration),
+        "learned field": lambda: run_drake(learned, speed, duration),
+    }
+
+
+def test_both_fly_the_same_vehicle() -> None:
+    vehicle = make_rotorpy(1.0).vehicle
+    np.testing.assert_allclose(vehicle.f_to_TM, PARAMETERS.MixingMatrix(), atol=1e-15)
+    plant = PARAMETERS.MakePlant()
+    context = plant.CreateDefaultContext()
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        state = np.concatenate((rng.normal(size=3), 0.3 * rng.normal(size=3), np.zeros(6)))
+        forces = rng.uniform(0.5, 1.5, 4)
+        context.SetContinuousState(state)
+        plant.get_input_port().FixValue(context, forces)
+        rates = plant.EvalTimeDerivatives(context).CopyToVector()
+        rotation = Rotation.from_euler("xyz", state[3:6])
+        speeds = np.sqrt(forces / THRUST_COEFFICIENT)
+        found = vehicle.statedot(
+            {
+                "x": state[:3],
+                "v": np.zeros(3),
+                "q": rotation.as_quat(),
+                "w": np.zeros(3),
+                "wind": np.zeros(3),
+                "rotor_speeds": speeds,
+            },
+            {"cmd_motor_speeds": speeds},
+            SAMPLE_PERIOD,
+        )
+        np.testing.assert_allclose(found["vdot"], rates[6:9], atol=1e-12)
+        # At rest, the body's angular acceleration is a linear map of that of roll-pitch-yaw.
+        roll, pitch, _ = state[3:6]
+        to_body = np.array(
+            [
+                [1.0, 0.0, -np.sin(pitch)],
+                [0.0, np.cos(roll), np.sin(roll) * np.cos(pitch)],
+                [0.0, -np.sin(roll), np.cos(roll) * np.cos(pitch)],
+            ]
+        )
+        np.testing.assert_allclose(found["wdot"], to_body @ rates[9:], atol=1e-10)
+
+
+def test_closed_form_field_is_what_it_says() -> None:
+    circle, step = ClosedFormCircle(2.0), 1e-6 * np.eye(2)
+    for x in np.random.default_rng(0).uniform(-1.3, 1.3, (50, 2)):
+        m, J = circle.value_and_jacobian(x)
+        assert np.linalg.norm(m) == pytest.approx(1.0)
+        differences = [(circle(x + h) - circle(x - h)) / 2e-6 for h in step]
+        np.testing.assert_allclose(J, np.transpose(differences), atol=1e-7)
+
+
+def test_circle_beside_rotorpy(save: Save, learned: sgvf.GuidingField) -> None:
+    rows = []
+    for speed in SPEEDS:
+        duration = LAPS * 2.0 * np.pi * RADIUS / speed
+        for name, run in flights(learned, speed, duration).items():
+            repeats = [run() for _ in range(REPEATS)]
+            rows.append(
+                {
+                    "flown by": name,
+                    "speed_m_s": speed,
+                    **cross_track_error(repeats[0].positions, speed),
+                    "real_time_factor": duration / min(flight.wall for flight in repeats),
+                }
+            )
+    table = pd.DataFrame(rows)
+    save(table, "rotorpy")
+    rms = table.pivot(index="flown by", columns="speed_m_s", values="cross_track_rms_m")
+    # At an indoor pace everybody follows the circle to a centimetre ...
+    assert (rms[0.45] < 0.01).all()
+    # ... and at 2 m/s only those do that turn the desired attitude with the path.
+    assert rms.loc["closed-form field", 2.0] < 0.01
+    assert rms.loc["learned field", 2.0] < 0.02
+    assert rms.loc["RotorPy", 2.0] > 0.1

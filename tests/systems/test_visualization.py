@@ -1,0 +1,264 @@
+"""Flights that are watched: against flights that are not, and against the frames' own times."""
+
+import os
+from pathlib import Path
+import socket
+
+import numpy as np
+from pydrake.geometry import Box, GeometryInstance, MakePhongIllustrationProperties
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import DiagramBuilder
+import pytest
+
+from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError, OutputExistsError
+from systems import AddGuidance, MakeSimulator, QuadrotorParameters, SetHover
+from systems.visualization import (
+    FIELD_OF_VIEW,
+    PUBLISH_PERIOD,
+    VIEW_ASPECT,
+    VIEW_MARGIN,
+    AddFlightVisualization,
+    MakeMeshcat,
+    SaveRecording,
+    SetView,
+)
+
+PARAMETERS = QuadrotorParameters()
+
+
+@pytest.fixture(scope="module")
+def meshcat():
+    return MakeMeshcat(port=0)
+
+
+@pytest.fixture
+def clean_meshcat(meshcat):
+    """The same server with an empty scene and no recording."""
+    meshcat.Delete()
+    meshcat.DeleteRecording()
+    return meshcat
+
+
+class Watched:
+    """A flight of the circle field; with a Meshcat it is watched there."""
+
+    def __init__(self, field, meshcat=None, prepare=lambda scene_graph: None, **options):
+        builder = DiagramBuilder()
+        plant = builder.AddNamedSystem("plant", PARAMETERS.MakePlant())
+        AddGuidance(builder, field, plant, PARAMETERS, speed=0.8, altitude=1.0)
+        if meshcat is not None:
+            self.parts = AddFlightVisualization(
+                builder, plant.GetOutputPort("state"), PARAMETERS, meshcat, **options
+            )
+            prepare(self.parts.scene_graph)
+        self.diagram = builder.Build()
+        self.simulator = MakeSimulator(self.diagram)
+        self.context = self.simulator.get_mutable_context()
+        SetHover(self.diagram, self.context, (1.3, 0.0, 1.0))
+
+    def state(self):
+        return self.context.get_continuous_state_vector().CopyToVector()
+
+
+def test_to_watch_a_flight_does_not_change_it(circle_field, clean_meshcat):
+    watched, alone = Watched(circle_field, clean_meshcat), Watched(circle_field)
+    for flight in (watched, alone):
+        flight.simulator.AdvanceTo(3.0)
+    # Publishing cuts the integrator's steps, which halved move a flight by less than 1 um.
+    np.testing.assert_allclose(watched.state()[:3], alone.state()[:3], atol=1e-6)
+
+
+@pytest.mark.parametrize("period", [PUBLISH_PERIOD, 1.0 / 64.0, 0.125])
+def test_a_recording_has_its_own_frame_for_each_time_of_publishing(
+    circle_field, clean_meshcat, period
+):
+    flight = Watched(circle_field, clean_meshcat, publish_period=period)
+    animation = flight.parts.visualizer.StartRecording()
+    assert animation.frames_per_second() == 1.0 / period
+    flight.simulator.Initialize()
+    # A minute; the times of publishing are these products.
+    frames = [animation.frame(k * period) for k in range(round(60.0 / period))]
+    assert frames == list(range(len(frames)))
+
+
+@pytest.mark.parametrize("period", [0.02, 0.04, 1.0 / 30.0, 0.0, -0.5, np.nan, np.inf])
+def test_a_period_that_loses_frames_is_refused(circle_field, clean_meshcat, period):
+    with pytest.raises(ConfigurationError, match="publish_period must be a power of two"):
+        Watched(circle_field, clean_meshcat, publish_period=period)
+
+
+def test_the_vehicle_and_its_trail_are_in_the_scene(circle_field, clean_meshcat):
+    flight = Watched(circle_field, clean_meshcat)
+    flight.simulator.AdvanceTo(0.3)
+    assert clean_meshcat.HasPath("/drake/visualizer/quadrotor/propeller_0")
+    assert clean_meshcat.HasPath("/trail")
+    assert sorted(flight.parts._fields) == ["geometry", "scene_graph", "trail", "visualizer"]
+    names = {system.get_name() for system in flight.diagram.GetSystems()}
+    assert names >= {"scene_graph", "quadrotor_geometry", "meshcat_visualizer", "trail"}
+
+
+def test_users_add_geometry_of_their_own(circle_field, clean_meshcat):
+    def add_pillar(scene_graph):
+        source_id = scene_graph.RegisterSource("mine")
+        pillar = GeometryInstance(RigidTransform(), Box(0.1, 0.1, 2.0), "pillar")
+        pillar.set_illustration_properties(MakePhongIllustrationProperties([1, 0, 0, 1]))
+        scene_graph.RegisterAnchoredGeometry(source_id, pillar)
+
+    flight = Watched(circle_field, clean_meshcat, add_pillar)
+    flight.simulator.AdvanceTo(0.1)
+    assert clean_meshcat.HasPath("/drake/visualizer/pillar")
+
+
+def test_a_scale_that_cannot_be_used_is_refused(circle_field, clean_meshcat):
+    with pytest.raises(ConfigurationError, match="scale must be finite and positive"):
+        Watched(circle_field, clean_meshcat, scale=0.0)
+
+
+# The view.
+
+
+class Viewer:
+    """Stands for Meshcat, and keeps where it looks."""
+
+    def SetProperty(self, path, name, value):  # noqa: N802
+        pass
+
+    def SetCameraPose(self, camera, target):  # noqa: N802
+        self.camera, self.target = camera, target
+
+    def project(self, points):
+        """Returns the places of points (n, 3) in the picture, up to 1 and VIEW_ASPECT."""
+        forward = self.target - self.camera
+        forward /= np.linalg.norm(forward)
+        right = np.cross(forward, [0.0, 0.0, 1.0])
+        right /= np.linalg.norm(right)
+        up = np.cross(right, forward)
+        depth = (points - self.camera) @ forward
+        assert (depth > 0.0).all()
+        across, above = (points - self.camera) @ right, (points - self.camera) @ up
+        scale = depth[:, None] * np.tan(FIELD_OF_VIEW / 2.0)
+        return np.column_stack((across, above)) / scale
+
+
+@pytest.mark.parametrize(
+    "box",
+    [
+        ([-1.0, -1.0], [1.0, 1.0]),
+        ([3.0, -8.0], [3.5, 4.0]),
+        ([-20.0, 100.0], [10.0, 101.0]),
+        ([0.0, 0.0, -5.0], [1.0, 0.8, 5.0]),
+    ],
+)
+@pytest.mark.parametrize("altitude", [0.0, 1.5])
+def test_the_view_just_shows_the_box(box, altitude):
+    viewer = Viewer()
+    SetView(viewer, box, altitude)
+    (left, near), (right, far) = np.array(box)[:, :2]
+    corners = np.array([[x, y, altitude] for x in (left, right) for y in (near, far)])
+    seen = viewer.project(corners) / [VIEW_ASPECT, 1.0]
+    # Whole, and one border or the other is reached.
+    assert np.abs(seen).max() == pytest.approx(VIEW_MARGIN)
+    # From the south, in the middle from side to side, with x to the right and y up.
+    np.testing.assert_allclose(seen[:2, 0], -seen[2:, 0])
+    assert seen[0, 0] < seen[2, 0]
+    assert seen[0, 1] < seen[1, 1]
+
+
+def test_a_view_of_a_square_is_as_full_above_as_below():
+    viewer = Viewer()
+    # Narrow, so that height counts.
+    SetView(viewer, ([-0.1, -1.0], [0.1, 1.0]), 1.0)
+    corners = np.array([[0.0, -1.0, 1.0], [0.0, 1.0, 1.0]])
+    np.testing.assert_allclose(viewer.project(corners)[:, 1], [-VIEW_MARGIN, VIEW_MARGIN])
+
+
+def test_a_view_of_what_is_not_finite_is_refused():
+    with pytest.raises(NonFiniteValueError, match="box"):
+        SetView(Viewer(), ([0.0, 0.0], [np.inf, 1.0]), 1.0)
+    with pytest.raises(ConfigurationError, match="altitude"):
+        SetView(Viewer(), ([0.0, 0.0], [1.0, 1.0]), np.nan)
+
+
+# The page.
+
+
+class Broken:
+    """Stands for a Meshcat whose page cannot be written: UTF-8 has no lone surrogates."""
+
+    def PublishRecording(self):  # noqa: N802
+        pass
+
+    def StaticHtml(self):  # noqa: N802
+        return "half a page" + "\ud800"
+
+
+def test_a_page_is_written_whole(meshcat, tmp_path):
+    path = SaveRecording(meshcat, str(tmp_path / "flight.html"))
+    assert path == tmp_path / "flight.html"
+    text = path.read_text(encoding="utf-8")
+    assert text.startswith("<!DOCTYPE html>")
+    assert text.rstrip().endswith("</html>")
+    assert os.listdir(tmp_path) == ["flight.html"]
+
+
+def test_a_page_that_fails_leaves_nothing(tmp_path):
+    with pytest.raises(UnicodeEncodeError):
+        SaveRecording(Broken(), tmp_path / "flight.html")
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_page_replaces_another_only_on_demand(meshcat, tmp_path):
+    path = tmp_path / "flight.html"
+    path.write_text("precious")
+    with pytest.raises(OutputExistsError, match=r"flight\.html already exists"):
+        SaveRecording(meshcat, path)
+    assert path.read_text() == "precious"
+    with pytest.raises(UnicodeEncodeError):
+        SaveRecording(Broken(), path, overwrite=True)
+    assert path.read_text() == "precious"
+    SaveRecording(meshcat, path, overwrite=True)
+    assert path.read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+    assert os.listdir(tmp_path) == ["flight.html"]
+
+
+@pytest.mark.parametrize("place", ["missing/flight.html", "file/flight.html", "folder"])
+def test_a_page_that_cannot_be_there_is_refused(meshcat, tmp_path, place):
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder" / "inside").touch()
+    (tmp_path / "file").touch()
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(ConfigurationError, match=f"cannot write to .*{Path(place).name}"):
+        SaveRecording(meshcat, tmp_path / place, overwrite=True)
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+# The server.
+
+
+def test_only_this_machine_is_served(meshcat):
+    assert meshcat.web_url() == f"http://localhost:{meshcat.port()}"
+    # Of all addresses, which "*" would take, this is one that no name leads to.
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.2", meshcat.port()))
+    socket.create_connection(("localhost", meshcat.port())).close()
+
+
+@pytest.mark.parametrize("port", [-1, 1, 80, 65536, 80000])
+def test_a_port_that_cannot_be_asked_for_is_refused(port):
+    with pytest.raises(ConfigurationError, match=f"port must be .* got {port}"):
+        MakeMeshcat(port=port)
+
+
+def test_a_port_that_is_taken_is_refused(meshcat):
+    with pytest.raises(
+        ConfigurationError, match=f"cannot listen on localhost:{meshcat.port()}"
+    ):
+        MakeMeshcat(port=meshcat.port())
+
+
+def test_a_server_ends_with_its_last_user():
+    meshcat = MakeMeshcat(port=0)
+    port = meshcat.port()
+    del meshcat
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("localhost", port))
