@@ -3,17 +3,15 @@
 As in Drake, ``Add...(builder, ...)`` changes a builder and ``Make...`` returns something new.
 """
 
+from systems.branch_supervisor import BranchSupervisor, BranchSupervisor_
+from systems.branches import Branch, MakeBranches
 from systems.controller import DEFAULT_GAINS, Se3Controller, Se3Controller_
-from systems.diagrams import (
-    AddGuidance,
-    GuidanceParts,
-    MakeFlightDiagram,
-    MakeSimulator,
-    SetHover,
-    SetVehicleState,
-)
+from systems.diagrams import MakeFlightDiagram, MakeSimulator
+from systems.faults import Dropout, Dropout_
 from systems.flight_trail import AddFlightTrail, FlightTrail
 from systems.guidance import FieldForSpeed, GuidanceSystem, GuidanceSystem_
+from systems.guidance_loop import AddGuidance, GuidanceParts
+from systems.initial_state import SetHover, SetVehicleState
 from systems.kinematic import (
     KinematicGuidance,
     KinematicGuidance_,
@@ -30,8 +28,10 @@ from systems.quadrotor import QuadrotorParameters
 from systems.quadrotor_geometry import AddQuadrotorGeometry, QuadrotorGeometry
 from systems.scene_drawing import DrawField, DrawTube, DrawWaypoints
 from systems.se3_law import Body, Gains
-from systems.sensing import AddMotionCapture
+from systems.sensing import AddMotionCapture, MotionCapture, SensorParameters
+from systems.state_estimator import StateEstimator, StateEstimator_
 from systems.stop_on_exit import ExitWatch, StopOnExit, SublevelExit
+from systems.supervisor_memory import Mode
 from systems.visualization import (
     AddFlightVisualization,
     FlightVisualization,
@@ -49,10 +49,15 @@ __all__ = [
     "AddMotionCapture",
     "AddQuadrotorGeometry",
     "Body",
+    "Branch",
+    "BranchSupervisor",
+    "BranchSupervisor_",
     "DifferentiableFunction",
     "DrawField",
     "DrawTube",
     "DrawWaypoints",
+    "Dropout",
+    "Dropout_",
     "ExitWatch",
     "FieldForSpeed",
     "FlightTrail",
@@ -65,19 +70,25 @@ __all__ = [
     "KinematicGuidance_",
     "LyapunovMonitor",
     "LyapunovMonitor_",
+    "MakeBranches",
     "MakeFlightDiagram",
     "MakeKinematicDiagram",
     "MakeMeshcat",
     "MakeSimulator",
+    "Mode",
+    "MotionCapture",
     "QuadrotorGeometry",
     "QuadrotorParameters",
     "SaveRecording",
     "Se3Controller",
     "Se3Controller_",
+    "SensorParameters",
     "SetHover",
     "SetPositions",
     "SetVehicleState",
     "SetView",
+    "StateEstimator",
+    "StateEstimator_",
     "StopOnExit",
     "SublevelExit",
 ]

@@ -1,16 +1,12 @@
 """Whole flights: guidance, controller, motion capture and vehicle put together."""
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
-import numpy as np
-from numpy.typing import ArrayLike
 from pydrake.autodiffutils import AutoDiffXd
-from pydrake.examples import QuadrotorPlant
 from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator_, SimulatorConfig
 from pydrake.systems.framework import (
-    Context,
     Diagram,
     DiagramBuilder,
     OutputPort,
@@ -19,18 +15,17 @@ from pydrake.systems.framework import (
 )
 from pydrake.systems.primitives import Demultiplexer, LogVectorOutput
 
-from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
+from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields.base import Field
-from systems.controller import Se3Controller
 from systems.guidance import (
     DEFAULT_ALTITUDE,
     DEFAULT_SPEED,
     VELOCITY_OFFSET,
-    GuidanceSystem,
 )
+from systems.guidance_loop import AddGuidance
 from systems.lyapunov_monitor import AddLyapunovMonitor, DifferentiableFunction
 from systems.quadrotor import STATE_SIZE, QuadrotorParameters
-from systems.sensing import DEFAULT_SAMPLE_PERIOD, AddMotionCapture
+from systems.sensing import DEFAULT_SAMPLE_PERIOD, SensorParameters
 from systems.visualization import AddFlightVisualization
 
 INTEGRATION_STEP = 0.005
@@ -39,87 +34,6 @@ than 1 um at 2 m/s, and by less than 10 um at 4 m/s."""
 
 
 _AutoDiffSystem = System_[AutoDiffXd]
-
-
-class GuidanceParts(NamedTuple):
-    """What `AddGuidance` adds to a diagram.
-
-    Attributes:
-        guidance: The `GuidanceSystem`.
-        controller: The `Se3Controller`.
-        motion_capture: The ZeroOrderHold that samples the vehicle's state.
-    """
-
-    guidance: Any
-    controller: Any
-    motion_capture: Any
-
-
-def AddGuidance(
-    builder: DiagramBuilder,
-    field: Field,
-    plant: System,
-    parameters: QuadrotorParameters | None = None,
-    *,
-    speed: float = DEFAULT_SPEED,
-    altitude: float = DEFAULT_ALTITUDE,
-    sample_period: float = DEFAULT_SAMPLE_PERIOD,
-    feedforward: bool = True,
-) -> GuidanceParts:
-    """Makes a vehicle in a diagram follow a guiding vector field.
-
-    Adds the systems "motion_capture", "guidance" and "controller" and connects them in a
-    loop with the plant.  Everything but the motion capture is direct feed-through.  The
-    field is widened to what the vehicle can turn at this speed; see `FieldForSpeed`.
-
-    Name the plant "plant" to set the start with `SetHover` or `SetVehicleState`, which the
-    motion capture then knows too.  Where only the plant's state is set, whatever is logged
-    at the start sees a vehicle at the origin.
-
-    Args:
-        builder: Is changed; `plant` is in it.
-        field: The guiding field, of dimension 2 or 3, in metres.
-        plant: A QuadrotorPlant, or a system with its ports: input `propeller_force` (4)
-            and output `state` (12).
-        parameters: The vehicle.  By default those of the plant, if it is a QuadrotorPlant,
-            with the paper's thrust-to-weight ratio.
-        speed: In m/s, at which the field is followed.
-        altitude: In m; only for a field of dimension 2.
-        sample_period: Of the motion capture, and so of the whole loop, in s.
-        feedforward: As in `GuidanceSystem`.
-
-    Returns:
-        The systems that were added.
-
-    Raises:
-        ConfigurationError: if an argument cannot be used.
-    """
-    if parameters is None:
-        if not isinstance(plant, QuadrotorPlant):
-            raise ConfigurationError(
-                "parameters must be given for a plant that is not a QuadrotorPlant"
-            )
-        parameters = QuadrotorParameters.FromPlant(plant)
-    guidance = builder.AddNamedSystem(
-        "guidance",
-        GuidanceSystem(field, speed, altitude, feedforward),
-    )
-    controller = builder.AddNamedSystem("controller", Se3Controller(parameters))
-    measured = AddMotionCapture(builder, plant.GetOutputPort("state"), sample_period)
-    builder.Connect(measured.get_output_port(), guidance.GetInputPort("state"))
-    builder.Connect(measured.get_output_port(), controller.GetInputPort("state"))
-    builder.Connect(
-        guidance.GetOutputPort("velocity_command"),
-        controller.GetInputPort("velocity_command"),
-    )
-    builder.Connect(
-        guidance.GetOutputPort("acceleration_feedforward"),
-        controller.GetInputPort("acceleration_feedforward"),
-    )
-    builder.Connect(
-        controller.GetOutputPort("propeller_force"), plant.GetInputPort("propeller_force")
-    )
-    return GuidanceParts(guidance, controller, measured)
 
 
 def MakeFlightDiagram(
@@ -131,6 +45,9 @@ def MakeFlightDiagram(
     sample_period: float = DEFAULT_SAMPLE_PERIOD,
     log_period: float | None = DEFAULT_SAMPLE_PERIOD,
     feedforward: bool = True,
+    saturate: bool = True,
+    sensors: SensorParameters | None = None,
+    supervisor: Any = None,
     lyapunov: DifferentiableFunction | None = None,
     level: float = math.inf,
     meshcat: Meshcat | None = None,
@@ -139,8 +56,9 @@ def MakeFlightDiagram(
 
     The systems are named "plant" (Drake's QuadrotorPlant), "motion_capture", "guidance"
     and "controller", and the logs (VectorLogSink) "state_log", "velocity_command_log" and
-    "propeller_force_log".  A log sees the commands that hold until its sample: at a time
-    of sampling, those of the sample before.  The output port `state` (12) is the plant's.
+    "propeller_force_log"; see `AddGuidance`.  A log sees the commands that hold until its
+    sample: at a time of sampling, those of the sample before.  The output port `state` (12)
+    is the plant's.  With a "supervisor" there are the logs "mode_log" and "branch_log" too.
 
     With a Lyapunov function of dimension d there is a `LyapunovMonitor` "lyapunov" of the
     vehicle's first d coordinates, and the logs "V_log" and "V_dot_log".  It watches the true
@@ -153,9 +71,12 @@ def MakeFlightDiagram(
         parameters: The vehicle; by default the paper's.
         speed: In m/s, at which the field is followed.
         altitude: In m; only for a field of dimension 2.
-        sample_period: Of the motion capture, and so of the whole loop, in s.
+        sample_period: As in `AddGuidance`.
         log_period: Of the logs in s; 0 logs every step, and None leaves the logs out.
         feedforward: As in `GuidanceSystem`.
+        saturate: As in `Se3Controller`.
+        sensors: As in `AddGuidance`.
+        supervisor: As in `AddGuidance`.
         lyapunov: A Lyapunov function V of dimension 2 or 3; None: there is no monitor.
         level: Of the sublevel set of V that is watched.
         meshcat: Shows the flight; see `AddFlightVisualization`.  The diagram can then not be
@@ -176,14 +97,20 @@ def MakeFlightDiagram(
         altitude=altitude,
         sample_period=sample_period,
         feedforward=feedforward,
+        saturate=saturate,
+        sensors=sensors,
+        supervisor=supervisor,
     )
     builder.ExportOutput(plant.GetOutputPort("state"), "state")
     if log_period is not None:
-        for port in (
+        logged = [
             plant.GetOutputPort("state"),
-            parts.guidance.GetOutputPort("velocity_command"),
+            parts.velocity_command,
             parts.controller.GetOutputPort("propeller_force"),
-        ):
+        ]
+        if supervisor is not None:
+            logged += [supervisor.GetOutputPort(name) for name in ("mode", "branch")]
+        for port in logged:
             log = LogVectorOutput(port, builder, log_period)
             log.set_name(f"{port.get_name()}_log")
     if lyapunov is not None:
@@ -236,44 +163,3 @@ def MakeSimulator(diagram: Any, context: Any = None, step: float = INTEGRATION_S
     )
     ApplySimulatorConfig(config, simulator)
     return simulator
-
-
-def SetHover(diagram: Diagram, context: Context, position: ArrayLike) -> None:
-    """Sets a flight to hover, level and at rest.
-
-    Args:
-        diagram: From `MakeFlightDiagram`, or any with systems "plant" and "motion_capture".
-        context: Of the diagram.
-        position: p_WB of shape (3,) in m.
-
-    Raises:
-        ConfigurationError: if the shape is wrong.
-        NonFiniteValueError: if the position is not finite.
-    """
-    p_WB = np.asarray(position, dtype=np.float64)
-    if p_WB.shape != (3,):
-        raise ConfigurationError(f"position must have shape (3,), got {p_WB.shape}")
-    SetVehicleState(diagram, context, np.concatenate((p_WB, np.zeros(STATE_SIZE - 3))))
-
-
-def SetVehicleState(diagram: Diagram, context: Context, state: ArrayLike) -> None:
-    """Sets the state of the vehicle, and of the motion capture that has just seen it.
-
-    Args:
-        diagram: From `MakeFlightDiagram`, or any with systems "plant" and "motion_capture".
-        context: Of the diagram.
-        state: Of shape (12,), as QuadrotorPlant's.
-
-    Raises:
-        ConfigurationError: if the shape is wrong.
-        NonFiniteValueError: if the state is not finite.
-    """
-    values: Any = np.asarray(state, dtype=np.float64)
-    if values.shape != (STATE_SIZE,):
-        raise ConfigurationError(f"state must have shape ({STATE_SIZE},), got {values.shape}")
-    if not np.isfinite(values).all():
-        raise NonFiniteValueError(f"the vehicle's state must be finite: {values.tolist()}")
-    plant = diagram.GetSubsystemByName("plant")
-    plant.GetMyMutableContextFromRoot(context).SetContinuousState(values)
-    hold: Any = diagram.GetSubsystemByName("motion_capture")
-    hold.SetVectorState(hold.GetMyMutableContextFromRoot(context), values)

@@ -1,12 +1,208 @@
-"""How the vehicle's state is measured."""
+"""How the vehicle's state is measured: ideally, or with noise and delay."""
 
+from dataclasses import dataclass, fields
+import math
 from typing import Any
 
-from pydrake.systems.framework import DiagramBuilder, OutputPort
-from pydrake.systems.primitives import ZeroOrderHold
+import numpy as np
+from pydrake.common import RandomDistribution, RandomGenerator
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPort
+from pydrake.systems.primitives import (
+    Adder,
+    Demultiplexer,
+    DiscreteTimeDelay,
+    Gain,
+    PassThrough,
+    RandomSource,
+    ZeroOrderHold,
+)
+
+from sgvf_drake.exceptions import ConfigurationError
+from systems.concatenation import Concatenation
+from systems.state_estimator import DEFAULT_BANDWIDTH, StateEstimator
 
 DEFAULT_SAMPLE_PERIOD = 0.01
 """s; the motion capture of the paper's flights records at 100 Hz."""
+
+
+@dataclass(frozen=True)
+class SensorParameters:
+    """How well a vehicle is measured, in SI units.
+
+    The paper (experiments) gives the rate of the motion capture, 100 Hz, and that on-board
+    sensors run at 1 kHz; noise and delay are what such systems usually have.
+
+    Attributes:
+        sample_period: Of the motion capture, in s.
+        delay: Of a position when it arrives, in s; a multiple of the sample period.
+        position_noise: Standard deviation of a measured coordinate, in m.
+        onboard_period: Of the on-board attitude and rates, and so of the controller, in s.
+        attitude_noise: Standard deviation of roll, pitch and yaw, in rad.
+        rate_noise: Standard deviation of the rates of roll, pitch and yaw, in rad/s.
+        bandwidth: Of the `StateEstimator`, in rad/s.
+
+    Raises:
+        ConfigurationError: if a value cannot be used.
+    """
+
+    sample_period: float = DEFAULT_SAMPLE_PERIOD
+    delay: float = 0.01
+    position_noise: float = 1e-3
+    onboard_period: float = 0.002
+    attitude_noise: float = 2e-3
+    rate_noise: float = 0.01
+    bandwidth: float = DEFAULT_BANDWIDTH
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            may_be_zero = field.name not in ("sample_period", "onboard_period", "bandwidth")
+            if not (math.isfinite(value) and (value > 0.0 or (value == 0.0 and may_be_zero))):
+                raise ConfigurationError(f"{field.name} cannot be {value}")
+        if not math.isclose(self.delay_steps * self.sample_period, self.delay, abs_tol=1e-9):
+            raise ConfigurationError(
+                f"delay must be a multiple of the sample period of {self.sample_period} s, "
+                f"got {self.delay}"
+            )
+
+    @property
+    def delay_steps(self) -> int:
+        """The delay in sample periods."""
+        return round(self.delay / self.sample_period)
+
+
+class MotionCapture(Diagram):
+    """Motion capture, on-board sensors and the estimate of the state that is made of them.
+
+    .. pydrake_system::
+
+        name: MotionCapture
+        input_ports:
+        - state
+        - acceleration
+        output_ports:
+        - state
+        - onboard_state
+        - measurement_age
+
+    The input `state` (12) is the true one, QuadrotorPlant's; an entry of the position that
+    is not finite is a lost measurement.  `acceleration` (3) in m/s^2 in W is what guidance
+    commands; see `StateEstimator`.
+
+    Both output states (12) have the position and velocity that the estimator makes of the
+    positions of the motion capture.  In `state` the attitude and its rates are sampled with
+    them, which is what guidance needs; in `onboard_state` they are sampled at the on-board
+    rate, for the controller.  `measurement_age` (1) is the age of what was last measured in
+    s.  None is a direct feed-through.
+
+    The noise is Drake's `RandomSource`; see `SetNoiseSeed`.
+
+    Args:
+        parameters: Noise, delay and rates.
+    """
+
+    def __init__(self, parameters: SensorParameters) -> None:
+        super().__init__()
+        self._parameters = parameters
+        builder = DiagramBuilder()
+        parts = builder.AddNamedSystem("state_parts", Demultiplexer([3, 3, 3, 3]))
+        builder.ExportInput(parts.get_input_port(), "state")
+        position, attitude, _, rates = (parts.get_output_port(i) for i in range(4))
+        self._estimator = self._AddEstimator(builder, position)
+        self._holds: list[tuple[Any, slice]] = []
+        estimate = (
+            self._estimator.GetOutputPort("position"),
+            self._estimator.GetOutputPort("velocity"),
+        )
+        for name, period in (
+            ("state", parameters.sample_period),
+            ("onboard_state", parameters.onboard_period),
+        ):
+            angles = self._AddHold(
+                builder, attitude, f"{name}_attitude", period, parameters.attitude_noise, 3
+            )
+            turning = self._AddHold(
+                builder, rates, f"{name}_rates", period, parameters.rate_noise, 9
+            )
+            whole = builder.AddNamedSystem(name, Concatenation([3, 3, 3, 3]))
+            for index, port in enumerate((estimate[0], angles, estimate[1], turning)):
+                builder.Connect(port, whole.get_input_port(index))
+            builder.ExportOutput(whole.get_output_port(), name)
+        builder.ExportOutput(
+            self._estimator.GetOutputPort("measurement_age"), "measurement_age"
+        )
+        builder.BuildInto(self)
+
+    @property
+    def parameters(self) -> SensorParameters:
+        """Noise, delay and rates."""
+        return self._parameters
+
+    def SetVectorState(self, context: Context, state: np.ndarray) -> None:
+        """Makes the estimate the true state, as after a long look at a vehicle at rest.
+
+        Args:
+            context: This system's own.
+            state: Of shape (12,), as QuadrotorPlant's.
+        """
+        for hold, entries in self._holds:
+            hold.SetVectorState(self.GetMutableSubsystemContext(hold, context), state[entries])
+        self._estimator.SetEstimate(
+            self.GetMutableSubsystemContext(self._estimator, context), state[:3], state[6:9]
+        )
+        if self._delay is not None:
+            own = self.GetMutableSubsystemContext(self._delay, context)
+            buffer = own.get_mutable_discrete_state_vector()
+            buffer.SetFromVector(np.tile(state[:3], buffer.size() // 3))
+
+    def SetNoiseSeed(self, context: Context, seed: int) -> None:
+        """Sets the seed of the noise, so that a flight repeats exactly.
+
+        Args:
+            context: This system's own.
+            seed: Not negative.
+        """
+        generator = RandomGenerator(seed)
+        for system in self.GetSystems():
+            if isinstance(system, RandomSource):
+                system.SetRandomContext(
+                    self.GetMutableSubsystemContext(system, context), generator
+                )
+
+    def _AddEstimator(self, builder: DiagramBuilder, position: OutputPort) -> Any:
+        """Adds what becomes of positions: noise, delay, estimator."""
+        p = self._parameters
+        # The estimator samples by itself, and sees what a discrete system held before the
+        # sample: a hold delays by one period, and a delay of n steps by n + 1.
+        self._delay: Any = None
+        noisy = _AddNoise(builder, position, "position", p.position_noise, p.sample_period)
+        if p.delay_steps > 0:
+            self._delay = builder.AddNamedSystem(
+                "delay", DiscreteTimeDelay(p.sample_period, p.delay_steps - 1, 3)
+            )
+            builder.Connect(noisy, self._delay.get_input_port())
+            noisy = self._delay.get_output_port()
+        estimator = builder.AddNamedSystem(
+            "estimator", StateEstimator(p.sample_period, p.delay, p.bandwidth)
+        )
+        builder.Connect(noisy, estimator.GetInputPort("measured_position"))
+        builder.ExportInput(estimator.GetInputPort("acceleration"), "acceleration")
+        return estimator
+
+    def _AddHold(
+        self,
+        builder: DiagramBuilder,
+        port: OutputPort,
+        name: str,
+        period: float,
+        noise: float,
+        start: int,
+    ) -> OutputPort:
+        noisy = _AddNoise(builder, port, name, noise, period)
+        hold = builder.AddNamedSystem(name, ZeroOrderHold(period, 3))
+        builder.Connect(noisy, hold.get_input_port())
+        self._holds.append((hold, slice(start, start + 3)))
+        return hold.get_output_port()
 
 
 def AddMotionCapture(
@@ -23,12 +219,31 @@ def AddMotionCapture(
     Args:
         builder: Is changed.
         state_port: The state that is measured.
-        period: In s.
+        period: In s; 0 passes the state through in continuous time.
         name: Of the system.
 
     Returns:
-        Drake's ZeroOrderHold, connected to `state_port`.
+        Drake's ZeroOrderHold or PassThrough, connected to `state_port`.
     """
-    hold = builder.AddNamedSystem(name, ZeroOrderHold(period, state_port.size()))
+    size = state_port.size()
+    hold: Any = ZeroOrderHold(period, size) if period > 0.0 else PassThrough(size)
+    builder.AddNamedSystem(name, hold)
     builder.Connect(state_port, hold.get_input_port())
     return hold
+
+
+def _AddNoise(
+    builder: DiagramBuilder, port: OutputPort, name: str, deviation: float, period: float
+) -> OutputPort:
+    """Adds noise that is drawn anew every period; none where the deviation is zero."""
+    if deviation == 0.0:
+        return port
+    source = builder.AddNamedSystem(
+        f"{name}_random", RandomSource(RandomDistribution.kGaussian, port.size(), period)
+    )
+    gain = builder.AddNamedSystem(f"{name}_noise", Gain(deviation, port.size()))
+    adder = builder.AddNamedSystem(f"{name}_noisy", Adder(2, port.size()))
+    builder.Connect(source.get_output_port(), gain.get_input_port())
+    builder.Connect(port, adder.get_input_port(0))
+    builder.Connect(gain.get_output_port(), adder.get_input_port(1))
+    return adder.get_output_port()

@@ -1,0 +1,53 @@
+"""How a flight starts: the state of the vehicle, and of what has measured it."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydrake.systems.framework import Context, Diagram
+from pydrake.systems.primitives import PassThrough
+
+from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
+from systems.quadrotor import STATE_SIZE
+
+
+def SetHover(diagram: Diagram, context: Context, position: ArrayLike) -> None:
+    """Sets a flight to hover, level and at rest.
+
+    Args:
+        diagram: From `MakeFlightDiagram`, or any with systems "plant" and "motion_capture".
+        context: Of the diagram.
+        position: p_WB of shape (3,) in m.
+
+    Raises:
+        ConfigurationError: if the shape is wrong.
+        NonFiniteValueError: if the position is not finite.
+    """
+    p_WB = np.asarray(position, dtype=np.float64)
+    if p_WB.shape != (3,):
+        raise ConfigurationError(f"position must have shape (3,), got {p_WB.shape}")
+    SetVehicleState(diagram, context, np.concatenate((p_WB, np.zeros(STATE_SIZE - 3))))
+
+
+def SetVehicleState(diagram: Diagram, context: Context, state: ArrayLike) -> None:
+    """Sets the state of the vehicle, and of the motion capture that has just seen it.
+
+    Args:
+        diagram: From `MakeFlightDiagram`, or any with systems "plant" and "motion_capture".
+        context: Of the diagram.
+        state: Of shape (12,), as QuadrotorPlant's.
+
+    Raises:
+        ConfigurationError: if the shape is wrong.
+        NonFiniteValueError: if the state is not finite.
+    """
+    values: Any = np.asarray(state, dtype=np.float64)
+    if values.shape != (STATE_SIZE,):
+        raise ConfigurationError(f"state must have shape ({STATE_SIZE},), got {values.shape}")
+    if not np.isfinite(values).all():
+        raise NonFiniteValueError(f"the vehicle's state must be finite: {values.tolist()}")
+    plant = diagram.GetSubsystemByName("plant")
+    plant.GetMyMutableContextFromRoot(context).SetContinuousState(values)
+    capture: Any = diagram.GetSubsystemByName("motion_capture")
+    if not isinstance(capture, PassThrough):
+        capture.SetVectorState(capture.GetMyMutableContextFromRoot(context), values)
