@@ -20,7 +20,7 @@ from systems.scalars import (
     ToList,
     ToVector,
 )
-from systems.se3_law import Body, CalcThrustAndTorque, Gains
+from systems.se3_law import Body, CalcAttitude, CalcThrustAndTorque, Gains
 
 DEFAULT_GAINS = Gains(
     velocity_gain=3.0, attitude_bandwidth=12.0, damping_ratio=0.7, heading=0.0
@@ -44,6 +44,7 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
             - acceleration_feedforward
             output_ports:
             - propeller_force
+            - acceleration
 
         `state` (12) is QuadrotorPlant's: position p_WB in m, roll-pitch-yaw in rad,
         velocity v_WB in m/s and the rates of roll-pitch-yaw in rad/s; z is up.
@@ -54,11 +55,14 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
         force constant kF, which is 1 by default.  Each force is in
         [0, `QuadrotorParameters.max_propeller_force`] if saturated.
 
+        `acceleration` (3) in m/s^2 in W is what these forces give a vehicle of the believed
+        mass at this attitude: what an accelerometer would show, for a `StateEstimator`.
+
         The law is that of Lee, Leok and McClamroch 2010 (see `systems.se3_law`), with a
         velocity command in place of a trajectory and the heading held fixed.  The numeric
         parameters are the `Gains` (index `gains_index`, see `SetGains`) and the `Body`, the
         mass and inertia that the controller believes (index `body_index`, see `SetBody`).
-        The output is direct feed-through.
+        Both outputs are direct feed-through.
 
         Args:
             parameters: The vehicle that is flown; by default the paper's.
@@ -96,12 +100,11 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
             self.gains_index = self.DeclareNumericParameter(BasicVector_[T](list(gains)))
             body = [self._parameters.mass, *self._parameters.inertia]
             self.body_index = self.DeclareNumericParameter(BasicVector_[T](body))
+            sources = {self.all_input_ports_ticket(), self.all_parameters_ticket()}
             self._propeller_force = self.DeclareVectorOutputPort(
-                "propeller_force",
-                NUM_PROPELLERS,
-                self._CalcPropellerForce,
-                {self.all_input_ports_ticket(), self.all_parameters_ticket()},
+                "propeller_force", NUM_PROPELLERS, self._CalcPropellerForce, sources
             )
+            self.DeclareVectorOutputPort("acceleration", 3, self._CalcAcceleration, sources)
 
         def _construct_copy(self, other: Any, converter: Any = None) -> None:
             Impl._construct(self, **other._arguments, converter=converter)
@@ -161,6 +164,15 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
                 self._CheckInputs(context)
                 forces = np.array(_CalcForces(*arguments))
             output.SetFromVector(forces)
+
+        def _CalcAcceleration(self, context: Any, output: Any) -> None:
+            forces = self._propeller_force.Eval(context)
+            roll, pitch, yaw = self._state.Eval(context)[3:6].tolist()
+            R_WB, _ = CalcAttitude((roll, pitch, yaw), (0.0, 0.0, 0.0))
+            thrust = self._parameters.force_constant * forces.sum()
+            lift = thrust / self.GetBody(context).mass
+            x, y, z = R_WB[2]
+            output.SetFromVector([lift * x, lift * y, lift * z - self._parameters.gravity])
 
         def _CheckInputs(self, context: Any) -> None:
             for port in (self._state, self._velocity_command, self._acceleration_feedforward):

@@ -156,6 +156,6 @@ def _ConnectCommands(builder: DiagramBuilder, parts: GuidanceParts) -> None:
         builder.Connect(source.GetOutputPort(name), parts.controller.GetInputPort(name))
     if isinstance(parts.motion_capture, MotionCapture):
         builder.Connect(
-            source.GetOutputPort("acceleration_feedforward"),
+            parts.controller.GetOutputPort("acceleration"),
             parts.motion_capture.GetInputPort("acceleration"),
         )

@@ -86,8 +86,8 @@ class MotionCapture(Diagram):
         - measurement_age
 
     The input `state` (12) is the true one, QuadrotorPlant's; an entry of the position that
-    is not finite is a lost measurement.  `acceleration` (3) in m/s^2 in W is what guidance
-    commands; see `StateEstimator`.
+    is not finite is a lost measurement.  `acceleration` (3) in m/s^2 in W is the vehicle's, as
+    an accelerometer tells it: `Se3Controller` has it; see `StateEstimator`.
 
     Both output states (12) have the position and velocity that the estimator makes of the
     positions of the motion capture.  In `state` the attitude and its rates are sampled with

@@ -45,8 +45,9 @@ def StateEstimator_(T: type) -> Any:  # noqa: D103 (the class below says it)
 
         `measured_position` (3) in m is what the vehicle's position was `delay` ago, with
         noise.  A sample with a value that is not finite is a lost one.  `acceleration` (3)
-        in m/s^2 is the one that is commanded or measured; not connected, it is zero, and the
-        velocity then lags by 2 a / bandwidth in a turn of acceleration a.
+        in m/s^2 is measured or known otherwise; not connected, it is zero, and the velocity
+        then lags by 2 a / bandwidth in a turn of acceleration a, which leaves the flight of
+        a quadrotor across its path badly damped.
 
         `position` (3) in m and `velocity` (3) in m/s are the estimates for now, and
         `measurement_age` (1) in s is how old what was last measured is.  All are held
