@@ -3,11 +3,12 @@
 import math
 from typing import Any
 
-from numba import njit
 import numpy as np
 from pydrake.systems.framework import BasicVector_, LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
+from sgvf_drake.compiling import digest, kernel
+from systems import mixing, quadrotor, scalar_math, se3_law
 from systems.mixing import CalcPropellerForces
 from systems.quadrotor import NUM_PROPELLERS, STATE_SIZE, QuadrotorParameters, Rotors
 from systems.scalar_math import compilable
@@ -230,38 +231,45 @@ def _CalcForces(
     return a / k, b / k, c / k, d / k
 
 
-@njit(cache=True)
-def _CalcForcesCompiled(
-    state: Any,
-    velocity_command: Any,
-    acceleration: Any,
-    gains: Any,
-    body: Any,
-    rotors: Rotors,
-    gravity: float,
-    saturate: bool,
-) -> Any:
-    """The same as an array, which is NaN where an input or a parameter cannot be used."""
-    usable = (
-        np.isfinite(state).all()
-        and np.isfinite(velocity_command).all()
-        and np.isfinite(acceleration).all()
-        and np.isfinite(gains).all()
-        and np.isfinite(body).all()
-        and gains[:3].min() > 0.0
-        and body.min() > 0.0
-    )
-    if not usable:
-        return np.full(NUM_PROPELLERS, np.nan)
-    return np.array(
-        _CalcForces(
-            state,
-            velocity_command,
-            acceleration,
-            gains,
-            body,
-            rotors,
-            gravity,
-            saturate,
+def _MakeCompiled(sources: int) -> Any:
+    @kernel
+    def calc_forces(
+        state: np.ndarray,
+        velocity_command: np.ndarray,
+        acceleration: np.ndarray,
+        gains: np.ndarray,
+        body: np.ndarray,
+        rotors: Rotors,
+        gravity: float,
+        saturate: bool,
+    ) -> np.ndarray:
+        sources  # noqa: B018 (enclosed to be in the key of the cache; see `digest`)
+        usable = (
+            np.isfinite(state).all()
+            and np.isfinite(velocity_command).all()
+            and np.isfinite(acceleration).all()
+            and np.isfinite(gains).all()
+            and np.isfinite(body).all()
+            and gains[:3].min() > 0.0
+            and body.min() > 0.0
         )
-    )
+        if not usable:
+            return np.full(NUM_PROPELLERS, np.nan)
+        return np.array(
+            _CalcForces(
+                state,
+                velocity_command,
+                acceleration,
+                gains,
+                body,
+                rotors,
+                gravity,
+                saturate,
+            )
+        )
+
+    return calc_forces
+
+
+_CalcForcesCompiled = _MakeCompiled(digest(se3_law, mixing, quadrotor, scalar_math))
+"""The law as an array (4,), which is NaN where an input or a parameter cannot be used."""

@@ -5,14 +5,15 @@ from functools import lru_cache, partial
 import math
 from typing import Any, NamedTuple
 
-from numba import njit
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import BasicVector_, LeafSystem_, ValueProducer
 from pydrake.systems.scalar_conversion import TemplateSystem
 
+from sgvf_drake.compiling import digest, kernel
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields.base import AdjustableField, CompilableField, Field
+from systems import scalar_math
 from systems.quadrotor import STATE_SIZE
 from systems.scalar_math import Tanh, compilable
 from systems.scalars import (
@@ -309,15 +310,22 @@ def _CalcCommandsInPython(
     return commands
 
 
-@njit(cache=True)
-def _CalcCommandsCompiled(
-    field: np.ndarray, state: np.ndarray, speed: float, altitude: float
-) -> np.ndarray:
-    commands = _CalcCommands(field, state, speed, altitude, np.empty(6))
-    # Attitude and rates do not enter the commands, but must not pass as good either.
-    if not np.isfinite(state).all():
-        commands[:] = np.nan
-    return commands
+def _MakeCompiled(sources: int) -> Any:
+    @kernel
+    def calc_commands(
+        field: np.ndarray, state: np.ndarray, speed: float, altitude: float
+    ) -> np.ndarray:
+        sources  # noqa: B018 (enclosed to be in the key of the cache; see `digest`)
+        commands = _CalcCommands(field, state, speed, altitude, np.empty(6))
+        # Attitude and rates do not enter the commands, but must not pass as good either.
+        if not np.isfinite(state).all():
+            commands[:] = np.nan
+        return commands
+
+    return calc_commands
+
+
+_CalcCommandsCompiled = _MakeCompiled(digest(scalar_math))
 
 
 class _FlownField(NamedTuple):

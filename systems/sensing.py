@@ -138,7 +138,7 @@ class MotionCapture(Diagram):
         """Noise, delay and rates."""
         return self._parameters
 
-    def SetVectorState(self, context: Context, state: np.ndarray) -> None:
+    def SetVectorState(self, context: Context, state: Any) -> None:
         """Makes the estimate the true state, as after a long look at a vehicle at rest.
 
         Args:
@@ -152,7 +152,7 @@ class MotionCapture(Diagram):
         )
         if self._delay is not None:
             own = self.GetMutableSubsystemContext(self._delay, context)
-            buffer = own.get_mutable_discrete_state_vector()
+            buffer: Any = own.get_mutable_discrete_state_vector()
             buffer.SetFromVector(np.tile(state[:3], buffer.size() // 3))
 
     def SetNoiseSeed(self, context: Context, seed: int) -> None:

@@ -2,6 +2,7 @@
 
 from sgvf_drake.fields.activation import Activation, find_activation
 from sgvf_drake.fields.base import AdjustableField, Field, FloatArray
+from sgvf_drake.fields.compiled import CompiledField
 from sgvf_drake.fields.composition import (
     PAPER_GAIN,
     Composition,
@@ -21,6 +22,7 @@ __all__ = [
     "PAPER_GAIN",
     "Activation",
     "AdjustableField",
+    "CompiledField",
     "Composition",
     "Field",
     "FloatArray",

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from os import PathLike
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,6 +16,9 @@ from sgvf_drake.fields.mixture import GaussianMixture
 from sgvf_drake.fields.perceptron import Perceptron
 from sgvf_drake.fields.rest import Rest
 from sgvf_drake.paths import PointCloud
+
+if TYPE_CHECKING:
+    from sgvf_drake.fields.compiled import CompiledField
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,6 +178,15 @@ class GuidingField(AnalyticField):
             raise ConfigurationError(f"the length must be a positive number, not {length}")
         gain = self.sigma**2 * self.cloud.unit_length / length
         return replace(self, composition=replace(self.composition, gain=gain))
+
+    def compiled(self) -> "CompiledField":
+        """Returns the same field, compiled by numba for calls with one point at a time.
+
+        Only then is numba imported, which takes about a second.
+        """
+        from sgvf_drake.fields.compiled import CompiledField
+
+        return CompiledField(self)
 
     def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:
         """Writes the field as one safetensors file; see `storage.save_field`."""

@@ -356,7 +356,7 @@ def test_random_context_of_a_flight_has_usable_parameters(make_field):
     context = diagram.CreateDefaultContext()
     diagram.SetRandomContext(context, RandomGenerator(1))
     controller = diagram.GetSubsystemByName("controller")
-    forces = controller.get_output_port().Eval(controller.GetMyContextFromRoot(context))
+    forces = controller.GetOutputPort("propeller_force").Eval(controller.GetMyContextFromRoot(context))
     assert np.all((forces >= 0.0) & (forces <= controller.parameters.max_propeller_force))
 
 

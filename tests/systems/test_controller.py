@@ -86,7 +86,7 @@ def test_gradients_of_guidance_and_controller_agree_with_differences(circle_fiel
     def forces(system, state):
         context = system.CreateDefaultContext()
         system.get_input_port().FixValue(context, state)
-        return system.get_output_port().Eval(context)
+        return system.GetOutputPort("propeller_force").Eval(context)
 
     for inputs in random_inputs(6, seed=1):
         state = inputs[:12]
@@ -185,10 +185,10 @@ def test_thrust_and_torque_grow_with_the_body_that_is_believed():
         CONTROLLER.GetInputPort(name).FixValue(context, inputs[start : start + size])
         start += size
     mixing = QuadrotorParameters().MixingMatrix()
-    before = mixing @ CONTROLLER.get_output_port().Eval(context)
+    before = mixing @ CONTROLLER.GetOutputPort("propeller_force").Eval(context)
     doubled = Body(*(2.0 * value for value in body))
     CONTROLLER.SetBody(context, doubled)
-    after = mixing @ CONTROLLER.get_output_port().Eval(context)
+    after = mixing @ CONTROLLER.GetOutputPort("propeller_force").Eval(context)
     np.testing.assert_allclose(after, 2.0 * before, rtol=1e-9)
     assert CONTROLLER.GetBody(context.Clone()) == doubled
 
@@ -204,7 +204,7 @@ def test_gain_or_body_of_zero_in_the_context_is_named():
                 system.GetInputPort(port).FixValue(context, np.zeros(size))
             context.get_mutable_numeric_parameter(index).SetAtIndex(entry, 0.0)
             with pytest.raises(ConfigurationError, match=f"{name} must be .* positive"):
-                system.get_output_port().Eval(context)
+                system.GetOutputPort("propeller_force").Eval(context)
 
 
 def test_a_body_too_heavy_to_lift_is_lifted_as_far_as_it_goes():
@@ -212,7 +212,7 @@ def test_a_body_too_heavy_to_lift_is_lifted_as_far_as_it_goes():
     for port, size in INPUTS:
         CONTROLLER.GetInputPort(port).FixValue(context, np.ones(size))
     CONTROLLER.SetBody(context, CONTROLLER.GetBody(context)._replace(mass=50.0))
-    forces = CONTROLLER.get_output_port().Eval(context)
+    forces = CONTROLLER.GetOutputPort("propeller_force").Eval(context)
     assert np.all((forces >= 0.0) & (forces <= F_MAX))
     assert forces.mean() > 0.5 * F_MAX
 
@@ -222,14 +222,14 @@ def test_changed_gain_takes_effect_at_once_and_is_cloned():
     inputs = random_inputs(1)[0]
     for (name, _), value in zip(INPUTS, np.split(inputs, [12, 15]), strict=True):
         CONTROLLER.GetInputPort(name).FixValue(context, value)
-    before = CONTROLLER.get_output_port().Eval(context).copy()
+    before = CONTROLLER.GetOutputPort("propeller_force").Eval(context).copy()
     gains = CONTROLLER.GetGains(context)._replace(velocity_gain=4.0)
     CONTROLLER.SetGains(context, gains)
     assert CONTROLLER.GetGains(context.Clone()) == gains
     np.testing.assert_array_equal(
-        CONTROLLER.get_output_port().Eval(context), evaluate(CONTROLLER, inputs, gains)
+        CONTROLLER.GetOutputPort("propeller_force").Eval(context), evaluate(CONTROLLER, inputs, gains)
     )
-    assert np.abs(CONTROLLER.get_output_port().Eval(context) - before).max() > 1e-3
+    assert np.abs(CONTROLLER.GetOutputPort("propeller_force").Eval(context) - before).max() > 1e-3
 
 
 def test_output_is_in_the_units_of_the_plant():

@@ -98,7 +98,7 @@ def test_flight_bears_a_delay_of_30_ms(circle_field):
         builder.Connect(delay.get_output_port(), system.GetInputPort("state"))
     for name in ("velocity_command", "acceleration_feedforward"):
         builder.Connect(guidance.GetOutputPort(name), controller.GetInputPort(name))
-    builder.Connect(controller.get_output_port(), plant.get_input_port())
+    builder.Connect(controller.GetOutputPort("propeller_force"), plant.get_input_port())
     log = LogVectorOutput(plant.get_output_port(), builder, 0.01)
     diagram = builder.Build()
     simulator = MakeSimulator(diagram)

@@ -50,7 +50,7 @@ def make_loop(field, saturate=True):
         builder.Connect(plant.GetOutputPort("state"), system.GetInputPort("state"))
     for name in ("velocity_command", "acceleration_feedforward"):
         builder.Connect(guidance.GetOutputPort(name), controller.GetInputPort(name))
-    builder.Connect(controller.get_output_port(), plant.get_input_port())
+    builder.Connect(controller.GetOutputPort("propeller_force"), plant.get_input_port())
     return builder.Build()
 
 
@@ -93,7 +93,7 @@ def propeller_forces(diagram, x):
     context = diagram.CreateDefaultContext()
     context.SetContinuousState(x)
     controller = diagram.GetSubsystemByName("controller")
-    return controller.get_output_port().Eval(controller.GetMyContextFromRoot(context))
+    return controller.GetOutputPort("propeller_force").Eval(controller.GetMyContextFromRoot(context))
 
 
 def check_limits(diagram, x):

@@ -65,7 +65,7 @@ def make_loop(field):
         builder.Connect(plant.GetOutputPort("state"), system.GetInputPort("state"))
     for name in ("velocity_command", "acceleration_feedforward"):
         builder.Connect(guidance.GetOutputPort(name), controller.GetInputPort(name))
-    builder.Connect(controller.get_output_port(), plant.get_input_port())
+    builder.Connect(controller.GetOutputPort("propeller_force"), plant.get_input_port())
     return builder.Build()
 
 
@@ -122,7 +122,7 @@ def test_problem_stays_far_from_the_limits_of_the_propellers(problem):
     controller = diagram.GetSubsystemByName("controller")
 
     def watch(context):
-        port = controller.get_output_port()
+        port = controller.GetOutputPort("propeller_force")
         forces.append(port.Eval(controller.GetMyContextFromRoot(context)).copy())
 
     final_state(diagram, variables, watch=watch)

@@ -1,0 +1,120 @@
+"""A multi-layer perceptron with its derivatives at one point."""
+
+import math
+
+import numpy as np
+
+from sgvf_drake.compiling import accumulating_part, part
+from sgvf_drake.fields.base import FloatArray
+from sgvf_drake.fields.compiled.activation import value_and_slope
+
+# Rows of W^T, those of eight inputs, that are added in one pass over the sums: these are then
+# seldom loaded and stored, and the processor does little but multiply and add.
+INPUTS_AT_ONCE = 8
+
+# Where the sizes of a network hold what; see `packing.pack_network`.
+ACTIVATION, NUM_FREQUENCIES, FIRST_WIDTH = range(3)
+
+
+@part
+def network_jet(sizes: np.ndarray, numbers: FloatArray, z: FloatArray) -> FloatArray:
+    """Returns the jet of a network's outputs at z, (1 + d, outputs).
+
+    Args:
+        sizes: Its activation, its number of frequencies, and the widths of all layers.
+        numbers: Frequencies and phases, then W^T and b of each layer, flattened.
+        z: The point, (d,).
+    """
+    widths = sizes[FIRST_WIDTH:]
+    widest = 0
+    for width in widths:
+        widest = max(widest, width)
+    # Whole rows and not parts of them are passed on, so that they are known to be contiguous.
+    jet = np.empty((1 + len(z), widest))
+    following = np.empty((1 + len(z), widest))
+    at = _input_jet(sizes[NUM_FREQUENCIES], numbers, z, jet)
+    last = len(widths) - 2
+    for layer in range(last + 1):
+        inputs, outputs = widths[layer], widths[layer + 1]
+        end_of_weights = at + inputs * outputs
+        weights = numbers[at:end_of_weights]
+        at = end_of_weights + outputs
+        _affine(weights, numbers[end_of_weights:at], jet, following)
+        if layer < last:
+            # The layer before has been used up, and lends its memory to the slopes.
+            _activate(sizes[ACTIVATION], outputs, following, jet[0])
+        jet, following = following, jet
+    return _first_columns(widths[-1], jet)
+
+
+@part
+def _input_jet(
+    num_frequencies: int, numbers: FloatArray, z: FloatArray, jet: FloatArray
+) -> int:
+    """Fills in what the first layer sees; returns how many numbers that took."""
+    if num_frequencies == 0:
+        for i in range(len(z)):
+            jet[0, i] = z[i]
+            for j in range(len(z)):
+                jet[1 + j, i] = 1.0 if i == j else 0.0
+        return 0
+    num_slopes = num_frequencies * len(z)
+    for f in range(num_frequencies):
+        frequencies = numbers[f * len(z) : (f + 1) * len(z)]
+        angle = numbers[num_slopes + f]
+        for j in range(len(z)):
+            angle += frequencies[j] * z[j]
+        sine, cosine = math.sin(angle), math.cos(angle)
+        jet[0, f], jet[0, num_frequencies + f] = sine, cosine
+        for j in range(len(z)):
+            jet[1 + j, f] = cosine * frequencies[j]
+            jet[1 + j, num_frequencies + f] = -sine * frequencies[j]
+    return num_slopes + num_frequencies
+
+
+@part
+def _first_columns(n: int, jet: FloatArray) -> FloatArray:
+    columns = np.empty((len(jet), n))
+    for k in range(len(jet)):
+        for o in range(n):
+            columns[k, o] = jet[k, o]
+    return columns
+
+
+@accumulating_part
+def _affine(weights: FloatArray, bias: FloatArray, jet: FloatArray, out: FloatArray) -> None:
+    """Fills in the jet of W h + b, with W^T of shape (inputs, outputs) flattened."""
+    n = len(bias)
+    inputs = len(weights) // n
+    whole = inputs - inputs % INPUTS_AT_ONCE
+    for k in range(len(jet)):
+        row = out[k]
+        for o in range(n):
+            row[o] = bias[o] if k == 0 else 0.0
+    for i in range(0, whole, INPUTS_AT_ONCE):
+        w, v = weights[i * n : (i + 4) * n], weights[(i + 4) * n : (i + 8) * n]
+        for k in range(len(jet)):
+            h, row = jet[k, i : i + INPUTS_AT_ONCE], out[k]
+            h0, h1, h2, h3, h4, h5, h6, h7 = h[0], h[1], h[2], h[3], h[4], h[5], h[6], h[7]
+            for o in range(n):
+                first = w[o] * h0 + w[n + o] * h1 + w[2 * n + o] * h2 + w[3 * n + o] * h3
+                second = v[o] * h4 + v[n + o] * h5 + v[2 * n + o] * h6 + v[3 * n + o] * h7
+                row[o] += first + second
+    for i in range(whole, inputs):
+        w = weights[i * n : (i + 1) * n]
+        for k in range(len(jet)):
+            h0, row = jet[k, i], out[k]
+            for o in range(n):
+                row[o] += w[o] * h0
+
+
+@part
+def _activate(code: int, width: int, jet: FloatArray, slopes: FloatArray) -> None:
+    """Applies an activation in place."""
+    values = jet[0]
+    for o in range(width):
+        values[o], slopes[o] = value_and_slope(code, values[o])
+    for k in range(1, len(jet)):
+        row = jet[k]
+        for o in range(width):
+            row[o] *= slopes[o]
