@@ -22,9 +22,10 @@ DEFAULT_BANDWIDTH = 25.0
 """rad/s; twice that of the attitude, so that the delay of the filter is the smaller one.  With
 positions good to 1 mm at 100 Hz the velocity is then good to 1 cm/s."""
 
-# The discrete state: position and velocity at the time of the last sample, its age without the
-# known delay, and whether there has been one.
-_POSITION, _VELOCITY, _AGE, _STARTED = slice(0, 3), slice(3, 6), 6, 7
+# The discrete state: position, velocity and acceleration at the time at which the last sample
+# was true, its age without the known delay, and whether there has been one.
+_POSITION, _VELOCITY, _ACCELERATION = slice(0, 3), slice(3, 6), slice(6, 9)
+_AGE, _STARTED, _STATE_SIZE = 9, 10, 11
 
 
 @TemplateSystem.define("StateEstimator_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
@@ -44,7 +45,8 @@ def StateEstimator_(T: type) -> Any:  # noqa: D103 (the class below says it)
             - measurement_age
 
         `measured_position` (3) in m is what the vehicle's position was `delay` ago, with
-        noise.  A sample with a value that is not finite is a lost one.  `acceleration` (3)
+        noise.  A sample with a value that is not finite is a lost one, and so is what arrives
+        before the delay has first passed, unless `SetEstimate` was called.  `acceleration` (3)
         in m/s^2 is measured or known otherwise; not connected, it is zero, and the velocity
         then lags by 2 a / bandwidth in a turn of acceleration a, which leaves the flight of
         a quadrotor across its path badly damped.
@@ -56,7 +58,8 @@ def StateEstimator_(T: type) -> Any:  # noqa: D103 (the class below says it)
         Each axis has an alpha-beta filter with both poles at exp(-bandwidth period), that
         is, critically damped (the fading-memory filter of degree 1: N. Morrison, Introduction
         to Sequential Smoothing and Prediction, 1969).  While samples are lost it predicts,
-        with the acceleration.  The position is extrapolated over the delay.
+        with the acceleration.  Position and velocity are extrapolated over the delay with the
+        last acceleration, so that a motion of constant acceleration is followed without error.
 
         The one numeric parameter (index `parameter_index`) holds (bandwidth in rad/s, delay
         in s); see `SetBandwidth` and `SetDelay`.
@@ -93,7 +96,7 @@ def StateEstimator_(T: type) -> Any:  # noqa: D103 (the class below says it)
             self.parameter_index = self.DeclareNumericParameter(
                 BasicVector_[T]([bandwidth, delay])
             )
-            self._state_index = self.DeclareDiscreteState(8)
+            self._state_index = self.DeclareDiscreteState(_STATE_SIZE)
             self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._Update)
             sources = {
                 self.discrete_state_ticket(self._state_index),
@@ -138,7 +141,7 @@ def StateEstimator_(T: type) -> Any:  # noqa: D103 (the class below says it)
             position, velocity = np.asarray(position), np.asarray(velocity)
             then = position - velocity * self.GetDelay(context)
             context.SetDiscreteState(
-                self._state_index, ToVector(T, [*then, *velocity, 0.0, 1.0])
+                self._state_index, ToVector(T, [*then, *velocity, *np.zeros(3), 0.0, 1.0])
             )
 
         def _Update(self, context: Any, values: Any) -> None:
@@ -152,7 +155,7 @@ def StateEstimator_(T: type) -> Any:  # noqa: D103 (the class below says it)
             dt, age, started = self._period, state[_AGE] + self._period, state[_STARTED]
             position = position + velocity * dt + acceleration * (0.5 * dt * dt)
             velocity = velocity + acceleration * dt
-            if all(map(math.isfinite, ToList(measured))):
+            if self._IsSample(context, measured, started):
                 age = T(0.0)
                 if ToFloat(started) == 0.0:
                     position, velocity, started = measured, np.zeros(3), T(1.0)
@@ -161,17 +164,31 @@ def StateEstimator_(T: type) -> Any:  # noqa: D103 (the class below says it)
                 position = position + (1.0 - pole * pole) * innovation
                 velocity = velocity + (1.0 - pole) ** 2 / dt * innovation
             vector = values.get_mutable_vector(self._state_index)
-            vector.SetFromVector(ToVector(T, [*position, *velocity, age, started]))
+            vector.SetFromVector(
+                ToVector(T, [*position, *velocity, *acceleration, age, started])
+            )
+
+        def _IsSample(self, context: Any, measured: Any, started: Scalar) -> bool:
+            if not all(map(math.isfinite, ToList(measured))):
+                return False
+            # What arrives before the delay has passed was measured before there was a vehicle:
+            # it is what a delay holds by default, and nothing to start from.
+            earliest = ToFloat(self.GetDelay(context)) - 0.5 * self._period
+            return ToFloat(started) != 0.0 or ToFloat(context.get_time()) >= earliest
 
         def _State(self, context: Any) -> Any:
             return context.get_discrete_state(self._state_index).CopyToVector()
 
         def _CalcPosition(self, context: Any, output: Any) -> None:
-            state = self._State(context)
-            output.SetFromVector(state[_POSITION] + state[_VELOCITY] * self.GetDelay(context))
+            state, delay = self._State(context), self.GetDelay(context)
+            mean_velocity = state[_VELOCITY] + 0.5 * delay * state[_ACCELERATION]
+            output.SetFromVector(state[_POSITION] + delay * mean_velocity)
 
         def _CalcVelocity(self, context: Any, output: Any) -> None:
-            output.SetFromVector(self._State(context)[_VELOCITY])
+            state = self._State(context)
+            output.SetFromVector(
+                state[_VELOCITY] + self.GetDelay(context) * state[_ACCELERATION]
+            )
 
         def _CalcAge(self, context: Any, output: Any) -> None:
             output.SetAtIndex(0, self._State(context)[_AGE] + self.GetDelay(context))

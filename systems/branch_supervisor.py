@@ -1,0 +1,343 @@
+"""A supervisor between guidance and controller: changes branches, and keeps a flight safe."""
+
+from collections.abc import Sequence
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydrake.common.value import Value
+from pydrake.systems.framework import BasicVector_, LeafSystem_, ValueProducer
+from pydrake.systems.scalar_conversion import TemplateSystem
+
+from sgvf_drake.arrays import FloatArray
+from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.fields.base import Field
+from systems.branches import Branch, CheckBranches, CheckedBox, CheckTour
+from systems.guidance import VELOCITY_OFFSET
+from systems.quadrotor import STATE_SIZE, QuadrotorParameters
+from systems.scalars import (
+    SCALARS,
+    CheckFinite,
+    CheckFiniteParameter,
+    CheckPositiveParameter,
+    CheckSpeed,
+    ToFloat,
+    ToList,
+    ToVector,
+)
+from systems.sensing import DEFAULT_SAMPLE_PERIOD
+from systems.supervision import Supervision
+from systems.supervisor_memory import (
+    BRANCH_OFFSET,
+    HOLD_POSITION,
+    ON_TOUR,
+    CalcCommands,
+    Memory,
+    Mode,
+    Seen,
+    Settings,
+)
+
+DEFAULT_HOLD_AFTER = 0.15
+"""s; an estimator bridges a loss of 0.1 s."""
+
+DEFAULT_LAND_AFTER = 1.0
+"""s; a position that was predicted for longer is off by decimetres."""
+
+ACCELERATION_SHARE = 0.4
+"""Share of the greatest horizontal acceleration that a path may demand: the rest is for
+errors, for the altitude and for torques."""
+
+
+@TemplateSystem.define("BranchSupervisor_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
+def BranchSupervisor_(T: type) -> Any:  # noqa: D103 (the class below says it)
+    class Impl(LeafSystem_[T]):
+        """Flies from branch to branch of a path, and stops, slows down or lands in need.
+
+        .. pydrake_system::
+
+            name: BranchSupervisor
+            input_ports:
+            - state
+            - velocity_command
+            - acceleration_feedforward
+            - speed
+            - measurement_age
+            output_ports:
+            - velocity_command
+            - acceleration_feedforward
+            - mode
+            - branch
+
+        The inputs are those of the controller and of `GuidanceSystem`: `state` (12),
+        `velocity_command` (3) in m/s and `acceleration_feedforward` (3) in m/s^2 in W, and
+        `speed` (1) in m/s.  `measurement_age` (1) is how old the last measurement is, in s;
+        not connected, it is always fresh.
+
+        The outputs `velocity_command` and `acceleration_feedforward` take the place of
+        guidance's.  `mode` (1) is a `Mode` and `branch` (1) the number of the branch that is
+        followed or flown to; both are for logs.
+
+        Every `period` the supervisor decides on its mode:
+
+        - FOLLOW hands guidance through.  Where the path demands more acceleration than
+          `ACCELERATION_SHARE` of what the thrust allows, it lowers the speed until it does
+          not.
+        - TRANSFER flies a `Transfer` to a branch, and hands over to guidance at its end.
+          It starts when another branch is wanted, at the place of the present branch that
+          makes it short (see `DepartureDelay`); and at once when the vehicle is outside the
+          box, nearer to another branch than to its own, or may fly again after HOLD.
+        - HOLD stops smoothly and stays there: by command, or while the measurement is
+          older than `hold_after`.
+        - LAND stops, descends to the landing height and stays there for good: when the
+          measurement is older than `land_after`.
+
+        In the last three the command is a reference motion, which moves at each sample, and
+        a correction ``POSITION_GAIN (p_ref - p)``, smoothly limited to `MAX_CORRECTION`.
+        With a field of dimension 2 the vertical command stays guidance's, but for LAND.
+
+        The one numeric parameter (index `parameter_index`) holds the `Settings`: the wanted
+        branch, the laps on each branch of the tour, and the two ages in s; see `SetBranch`,
+        `SetLaps`, `SetHoldAfter` and `SetLandAfter`.  They are read at each sample.  While
+        the wanted branch is `ON_TOUR`, the tour rules: the next branch is wanted after the
+        laps on this one, or at the end of an open one; the last is followed for good.  A
+        tour that was interrupted by another wanted branch goes on where it was.
+
+        The discrete state is the supervisor's `Memory`.  The commands are direct
+        feed-through.  Under AutoDiffXd they have the derivatives for a given memory; what
+        the supervisor decides and plans has none.
+
+        Args:
+            field: The guiding field, of dimension 2 or 3, in metres.
+            branches: The branches of its path; see `MakeBranches`.
+            tour: Numbers of the branches in the order in which they are flown.
+            laps: On each closed branch of the tour but the last, positive.
+            parameters: The vehicle; by default the paper's.
+            box: Lower and upper corner (d,) of where the field holds, in m: outside, the
+                vehicle flies to its branch instead.  None: everywhere.
+            landing_height: z in m.
+            period: Of the decisions and of the reference, in s: that of the measurements.
+
+        Raises:
+            ConfigurationError: if an argument or a parameter cannot be used.
+            NonFiniteValueError: on evaluation, where an input is not finite.
+        """
+
+        def _construct(
+            self,
+            field: Field,
+            branches: Sequence[Branch],
+            tour: Sequence[int] = (0,),
+            laps: float = 1.0,
+            parameters: QuadrotorParameters | None = None,
+            box: tuple[ArrayLike, ArrayLike] | None = None,
+            landing_height: float = 0.0,
+            period: float = DEFAULT_SAMPLE_PERIOD,
+            converter: Any = None,
+        ) -> None:
+            LeafSystem_[T].__init__(self, converter=converter)
+            if field.dim not in (2, 3):
+                raise ConfigurationError(
+                    f"a vehicle needs a field of dimension 2 or 3, got {field.dim}"
+                )
+            corners = CheckedBox(box, field.dim)
+            CheckBranches(branches, field.dim, corners)
+            CheckTour(tour, len(branches))
+            CheckPositiveParameter("laps", laps)
+            CheckFiniteParameter("landing_height", landing_height)
+            CheckPositiveParameter("period", period)
+            self._arguments: dict[str, Any] = {
+                "field": field,
+                "branches": branches,
+                "tour": tour,
+                "laps": laps,
+                "parameters": parameters,
+                "box": box,
+                "landing_height": landing_height,
+                "period": period,
+            }
+            self._dim, self._num_branches = field.dim, len(branches)
+            vehicle = parameters or QuadrotorParameters()
+            self._supervision = Supervision(
+                field,
+                branches,
+                tour,
+                ACCELERATION_SHARE * vehicle.max_horizontal_acceleration,
+                corners,
+                landing_height,
+                period,
+            )
+            self._DeclareInputs()
+            self.parameter_index = self.DeclareNumericParameter(
+                BasicVector_[T]([ON_TOUR, laps, DEFAULT_HOLD_AFTER, DEFAULT_LAND_AFTER])
+            )
+            start = Memory.AtStart(tour[0], field.dim).ToVector()
+            self._memory_index = self.DeclareDiscreteState(BasicVector_[T](start.tolist()))
+            self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._Update)
+            self._DeclareOutputs()
+
+        def _construct_copy(self, other: Any, converter: Any = None) -> None:
+            Impl._construct(self, **other._arguments, converter=converter)
+
+        def _DeclareInputs(self) -> None:
+            self._state = self.DeclareVectorInputPort("state", STATE_SIZE)
+            self._velocity_command = self.DeclareVectorInputPort("velocity_command", 3)
+            self._acceleration_feedforward = self.DeclareVectorInputPort(
+                "acceleration_feedforward", 3
+            )
+            self._speed = self.DeclareVectorInputPort("speed", 1)
+            self._age = self.DeclareVectorInputPort("measurement_age", 1)
+
+        def _DeclareOutputs(self) -> None:
+            memory = self.discrete_state_ticket(self._memory_index)
+            inputs = (self._state, self._velocity_command, self._acceleration_feedforward)
+            # Named, and without the time: see GuidanceSystem.
+            sources = {memory, *(self.input_port_ticket(p.get_index()) for p in inputs)}
+            self._commands = self.DeclareCacheEntry(
+                "commands",
+                ValueProducer(
+                    allocate=lambda: Value[BasicVector_[T]](BasicVector_[T](6)),
+                    calc=self._CalcCommands,
+                ),
+                sources,
+            )
+            commands = {self._commands.ticket()}
+            self.DeclareVectorOutputPort(
+                "velocity_command", 3, self._CopyVelocityCommand, sources | commands
+            )
+            self.DeclareVectorOutputPort(
+                "acceleration_feedforward",
+                3,
+                self._CopyAccelerationFeedforward,
+                sources | commands,
+            )
+            self.DeclareVectorOutputPort("mode", 1, self._CopyMode, {memory})
+            self.DeclareVectorOutputPort("branch", 1, self._CopyBranch, {memory})
+
+        def GetBranch(self, context: Any) -> int:
+            """Returns the wanted branch: a number, `HOLD_POSITION` or `ON_TOUR`."""
+            return int(self._Settings(context).branch)
+
+        def SetBranch(self, context: Any, branch: int) -> None:
+            """Sets the wanted branch, which is flown to from the next sample on.
+
+            Args:
+                context: This system's own.
+                branch: The number of a branch, `HOLD_POSITION` or `ON_TOUR`.
+            """
+            self._SetParameter(context, 0, self._CheckedBranch(branch))
+
+        def GetLaps(self, context: Any) -> float:
+            """Returns the laps on each branch of the tour."""
+            return self._Settings(context).laps
+
+        def SetLaps(self, context: Any, laps: float) -> None:
+            """Sets the laps on each branch of the tour; this system's own Context is wanted."""
+            CheckPositiveParameter("laps", laps)
+            self._SetParameter(context, 1, laps)
+
+        def GetHoldAfter(self, context: Any) -> float:
+            """Returns the age of a measurement in s beyond which the vehicle stops."""
+            return self._Settings(context).hold_after
+
+        def SetHoldAfter(self, context: Any, age: float) -> None:
+            """Sets that age in s; this system's own Context is wanted."""
+            CheckPositiveParameter("hold_after", age)
+            self._SetParameter(context, 2, age)
+
+        def GetLandAfter(self, context: Any) -> float:
+            """Returns the age of a measurement in s beyond which the vehicle lands."""
+            return self._Settings(context).land_after
+
+        def SetLandAfter(self, context: Any, age: float) -> None:
+            """Sets that age in s; this system's own Context is wanted."""
+            CheckPositiveParameter("land_after", age)
+            self._SetParameter(context, 3, age)
+
+        def _Settings(self, context: Any) -> Settings:
+            parameters = context.get_numeric_parameter(self.parameter_index)
+            return Settings(*ToList(parameters.CopyToVector()))
+
+        def _SetParameter(self, context: Any, index: int, value: float) -> None:
+            parameters = context.get_mutable_numeric_parameter(self.parameter_index)
+            parameters.SetAtIndex(index, T(value))
+
+        def _CheckedBranch(self, branch: float) -> float:
+            numbers = (ON_TOUR, HOLD_POSITION, *range(self._num_branches))
+            if branch not in numbers:
+                raise ConfigurationError(f"branch must be one of {numbers}, got {branch}")
+            return float(branch)
+
+        def _Update(self, context: Any, values: Any) -> None:
+            settings = self._Settings(context)
+            self._CheckedBranch(settings.branch)
+            for name, value in settings._asdict().items():
+                if name != "branch":
+                    CheckPositiveParameter(name, value)
+            vector = values.get_mutable_vector(self._memory_index)
+            memory = Memory.FromVector(np.array(ToList(self._Vector(context))))
+            self._supervision.Step(settings, self._See(context), memory)
+            vector.SetFromVector(ToVector(T, memory.ToVector().tolist()))
+
+        def _See(self, context: Any) -> Seen:
+            state, velocity_command, acceleration, speed = (
+                self._EvalFinite(context, port)
+                for port in (
+                    self._state,
+                    self._velocity_command,
+                    self._acceleration_feedforward,
+                    self._speed,
+                )
+            )
+            CheckSpeed(speed[0])
+            age = (
+                self._EvalFinite(context, self._age)[0] if self._age.HasValue(context) else 0.0
+            )
+            return Seen(
+                ToFloat(context.get_time()),
+                state[:3],
+                state[VELOCITY_OFFSET : VELOCITY_OFFSET + 3],
+                velocity_command,
+                acceleration,
+                float(speed[0]),
+                float(age),
+            )
+
+        def _EvalFinite(self, context: Any, port: Any) -> FloatArray:
+            values = ToList(port.Eval(context))
+            CheckFinite(self, context, port, values)
+            return np.array(values)
+
+        def _CalcCommands(self, context: Any, value: Any) -> None:
+            state = self._state.Eval(context)
+            velocity = self._velocity_command.Eval(context)
+            acceleration = self._acceleration_feedforward.Eval(context)
+            memory = self._Vector(context).tolist()
+            guided = 3 if ToFloat(memory[0]) == Mode.LAND else self._dim
+            commands = CalcCommands(
+                memory, guided, state.tolist(), velocity.tolist(), acceleration.tolist()
+            )
+            if not math.isfinite(ToFloat(sum(commands))):
+                self._See(context)
+            value.get_mutable_value().SetFromVector(commands)
+
+        def _CopyVelocityCommand(self, context: Any, output: Any) -> None:
+            output.SetFromVector(self._commands.Eval(context).CopyToVector()[:3])
+
+        def _CopyAccelerationFeedforward(self, context: Any, output: Any) -> None:
+            output.SetFromVector(self._commands.Eval(context).CopyToVector()[3:])
+
+        def _CopyMode(self, context: Any, output: Any) -> None:
+            output.SetAtIndex(0, self._Vector(context)[0])
+
+        def _CopyBranch(self, context: Any, output: Any) -> None:
+            output.SetAtIndex(0, self._Vector(context)[BRANCH_OFFSET])
+
+        def _Vector(self, context: Any) -> Any:
+            return context.get_discrete_state(self._memory_index).CopyToVector()
+
+    return Impl
+
+
+BranchSupervisor = BranchSupervisor_[None]

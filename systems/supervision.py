@@ -1,0 +1,286 @@
+"""The rules of a branch supervisor: how each sample changes its mode and its reference."""
+
+from collections.abc import Sequence
+from functools import lru_cache
+import math
+
+import numpy as np
+
+from sgvf_drake.arrays import FloatArray
+from sgvf_drake.fields.base import Field
+from systems.branches import Branch, DepartureDelay, SpeedLimits
+from systems.supervisor_memory import HOLD_POSITION, ON_TOUR, Memory, Mode, Seen, Settings
+from systems.transfer import Motion, PlanStop, PlanTransfer, Transfer
+
+MAX_LIMITS = 32
+"""Branches times speeds whose limits are kept."""
+
+BLEND_TIME = 0.3
+"""s, at the end of a transfer, over which guidance takes over: about 1 / velocity gain."""
+
+MISMATCH = 0.3
+"""Difference of actual and commanded velocity over the speed, beyond which a motion is planned
+from the actual one.  Below it, going on from the command makes no step in it."""
+
+ASTRAY_RATIO = 3.0
+"""A vehicle is astray if another branch is nearer than its own by this factor, ..."""
+
+ON_BRANCH_SHARE = 0.05
+"""... and its own is farther than this share of its length: of a circle, 0.3 of its radius."""
+
+RECOVERED_SHARE = 0.5
+"""A measurement is back when its age is below this share of what made the vehicle hold."""
+
+REST_SHARE = 0.1
+"""An open branch is at its end where the field asks for less than this share of the speed."""
+
+SCALE_TIME = 0.1
+"""s, in which the speed follows what the path allows."""
+
+LEAST_SCALE = 1e-3
+"""The scale at which a vehicle starts from rest."""
+
+SPEED_UP_SHARE = 0.1
+"""The speed rises at this share of the greatest acceleration, from rest and after turns."""
+
+LANDING_RATE = 0.3
+"""m/s."""
+
+LANDING_ACCELERATION = 0.5
+"""m/s^2, with which a descent begins."""
+
+LANDING_GAIN = 1.0
+"""1/s, from height to rate of descent near the ground."""
+
+
+class Supervision:
+    """The rules by which a supervisor changes its memory at each sample.
+
+    Args:
+        field: The guiding field, in metres.
+        branches: The branches of its path.
+        tour: Numbers of the branches in the order in which they are flown.
+        max_acceleration: That the thrust is trusted with, in m/s^2.
+        box: Lower and upper corner (d,) of where the field holds, in m; None: everywhere.
+        landing_height: z in m.
+        period: Of the samples in s.
+    """
+
+    def __init__(
+        self,
+        field: Field,
+        branches: Sequence[Branch],
+        tour: Sequence[int],
+        max_acceleration: float,
+        box: tuple[FloatArray, FloatArray] | None,
+        landing_height: float,
+        period: float,
+    ) -> None:
+        self._field, self._branches, self._tour = field, tuple(branches), tuple(tour)
+        self._max_acceleration, self._box = max_acceleration, box
+        self._landing_height, self._period = landing_height, period
+        self._dim = field.dim
+
+        @lru_cache(MAX_LIMITS)
+        def limits(branch: int, speed: float) -> FloatArray:
+            return SpeedLimits(field, self._branches[branch], speed, max_acceleration)
+
+        self._Limits = limits
+
+    def Step(self, settings: Settings, seen: Seen, memory: Memory) -> None:
+        """Changes the memory at a sample: first the mode, then the reference."""
+        if not memory.begun:
+            self._Start(settings, seen, memory)
+        nearest, distance = self._Branch(memory).Nearest(seen.position[: self._dim])
+        self._Decide(settings, seen, memory, distance)
+        if memory.mode == Mode.FOLLOW:
+            self._CountDistance(seen, memory, distance)
+            self._AdaptScale(seen, memory, nearest)
+        else:
+            memory.scale_rate = 0.0
+            self._MoveReference(seen, memory)
+
+    def _Start(self, settings: Settings, seen: Seen, memory: Memory) -> None:
+        """Takes up the wanted branch and the speed that the vehicle has."""
+        memory.begun = 1.0
+        memory.branch = max(float(self._Wanted(settings, memory)), 0.0)
+        speed = math.hypot(*seen.velocity[: self._dim])
+        memory.scale = min(max(speed / max(seen.speed, 1e-9), LEAST_SCALE), 1.0)
+
+    def _Decide(self, settings: Settings, seen: Seen, memory: Memory, distance: float) -> None:
+        if memory.mode == Mode.LAND:
+            return
+        if seen.age > settings.land_after:
+            self._Land(seen, memory)
+        elif self._MustHold(settings, seen, memory):
+            if memory.mode != Mode.HOLD:
+                self._Stop(seen, memory)
+        else:
+            self._Fly(settings, seen, memory, distance)
+
+    def _MustHold(self, settings: Settings, seen: Seen, memory: Memory) -> bool:
+        share = RECOVERED_SHARE if memory.mode == Mode.HOLD else 1.0
+        return settings.branch == HOLD_POSITION or seen.age > share * settings.hold_after
+
+    def _Fly(self, settings: Settings, seen: Seen, memory: Memory, distance: float) -> None:
+        """Decides what to do with a vehicle that may fly."""
+        if memory.mode == Mode.FOLLOW:
+            self._AdvanceTour(settings, seen, memory)
+        wanted = self._Wanted(settings, memory)
+        # Where guidance stands still, there is no speed to fly elsewhere with.
+        may_leave = seen.speed > 0.0
+        if memory.mode == Mode.HOLD or (
+            memory.mode == Mode.FOLLOW and self._IsAstray(seen, memory, distance)
+        ):
+            if may_leave:
+                self._FlyTo(wanted, seen, memory)
+        elif wanted != memory.branch and may_leave:
+            if memory.mode == Mode.TRANSFER or self._IsTimeToDepart(wanted, seen, memory):
+                self._FlyTo(wanted, seen, memory)
+        else:
+            memory.target = ON_TOUR
+            if memory.mode == Mode.TRANSFER and seen.time >= memory.start + memory.duration:
+                memory.mode, memory.weight = Mode.FOLLOW, 1.0
+
+    def _Wanted(self, settings: Settings, memory: Memory) -> int:
+        """Returns the number of the wanted branch, or `HOLD_POSITION`."""
+        if settings.branch == ON_TOUR:
+            return self._tour[int(memory.stop)]
+        return int(settings.branch)
+
+    def _AdvanceTour(self, settings: Settings, seen: Seen, memory: Memory) -> None:
+        if settings.branch != ON_TOUR or memory.stop >= len(self._tour) - 1:
+            return
+        if memory.branch != self._tour[int(memory.stop)]:
+            return  # Still on the way back from a branch that was wanted by command.
+        branch = self._Branch(memory)
+        asked = math.hypot(*seen.velocity_command[: self._dim])
+        at_end = not branch.closed and asked < REST_SHARE * seen.speed
+        laps = settings.laps if branch.closed else 1.0
+        if memory.flown >= laps * branch.length or (at_end and memory.flown > 0.0):
+            memory.stop += 1.0
+            memory.flown = 0.0
+
+    def _IsTimeToDepart(self, wanted: int, seen: Seen, memory: Memory) -> bool:
+        if memory.target != wanted:
+            memory.target = wanted
+            memory.departure = seen.time + DepartureDelay(
+                self._field,
+                self._Branch(memory),
+                self._branches[wanted],
+                seen.position[: self._dim],
+                self._SpeedFor(wanted, seen.speed),
+                self._max_acceleration,
+            )
+        # Half a period: times are sums of periods, and round.
+        return seen.time > memory.departure - 0.5 * self._period
+
+    def _IsAstray(self, seen: Seen, memory: Memory, distance: float) -> bool:
+        """Whether the field is not to be trusted, or leads to another branch."""
+        p = seen.position[: self._dim]
+        if self._box is not None and ((p < self._box[0]) | (p > self._box[1])).any():
+            return True
+        own = self._Branch(memory)
+        return distance > ON_BRANCH_SHARE * own.length and any(
+            ASTRAY_RATIO * branch.Nearest(p)[1] < distance
+            for branch in self._branches
+            if branch is not own
+        )
+
+    def _FlyTo(self, wanted: int, seen: Seen, memory: Memory) -> None:
+        is_return = wanted == memory.branch
+        speed = self._SpeedFor(wanted, seen.speed)
+        entries = self._branches[wanted].Entries(self._field, speed, anywhere=is_return)
+        start = self._Motion(seen, memory)
+        self._Begin(
+            Mode.TRANSFER,
+            PlanTransfer(start, entries, speed, self._max_acceleration),
+            seen,
+            memory,
+        )
+        memory.scale = speed / seen.speed
+        if not is_return:
+            memory.branch, memory.flown = float(wanted), 0.0
+
+    def _Stop(self, seen: Seen, memory: Memory) -> None:
+        plan = PlanStop(self._Motion(seen, memory), self._max_acceleration)
+        self._Begin(Mode.HOLD, plan, seen, memory)
+
+    def _Land(self, seen: Seen, memory: Memory) -> None:
+        memory.velocity[2] = (
+            seen.velocity_command[2]
+            if self._dim == 2
+            else self._Motion(seen, memory).velocity[2]
+        )
+        memory.position[2] = seen.position[2]
+        if memory.mode != Mode.HOLD:
+            self._Stop(seen, memory)
+        memory.mode = Mode.LAND
+
+    def _Begin(self, mode: Mode, plan: Transfer, seen: Seen, memory: Memory) -> None:
+        memory.mode, memory.weight, memory.target = mode, 0.0, ON_TOUR
+        memory.start, memory.duration = seen.time, plan.duration
+        memory.control_points = plan.control_points
+
+    def _Motion(self, seen: Seen, memory: Memory) -> Motion:
+        """Returns where a planned motion begins: with the velocity that is commanded now."""
+        d, w = self._dim, memory.weight
+        guided = seen.velocity_command * memory.scale
+        acceleration = seen.acceleration_feedforward * memory.scale
+        v = (w * guided + (1.0 - w) * memory.velocity)[:d]
+        a = (w * acceleration + (1.0 - w) * memory.acceleration)[:d]
+        if math.dist(v, seen.velocity[:d]) > MISMATCH * seen.speed:
+            v, a = seen.velocity[:d], np.zeros(d)
+        return Motion(seen.position[:d], v, a)
+
+    def _MoveReference(self, seen: Seen, memory: Memory) -> None:
+        d = self._dim
+        plan = Transfer(memory.control_points, memory.duration, 0.0, 0.0)
+        motion = plan.Eval(seen.time - memory.start)
+        if memory.mode == Mode.LAND:
+            self._Descend(memory)
+            d = 2
+        memory.position[:d], memory.velocity[:d], memory.acceleration[:d] = (
+            values[:d] for values in motion
+        )
+        if memory.mode == Mode.TRANSFER:
+            left = memory.start + memory.duration - seen.time
+            share = min(max(1.0 - left / BLEND_TIME, 0.0), 1.0)
+            memory.weight = share * share * (3.0 - 2.0 * share)
+
+    def _Descend(self, memory: Memory) -> None:
+        """Moves the reference down, faster and faster, then steadily, then slowly to ground."""
+        height = memory.position[2] - self._landing_height
+        faster = memory.velocity[2] - LANDING_ACCELERATION * self._period
+        memory.velocity[2] = max(faster, -LANDING_RATE, -LANDING_GAIN * height)
+        memory.acceleration[2] = 0.0
+        memory.position[2] += memory.velocity[2] * self._period
+
+    def _CountDistance(self, seen: Seen, memory: Memory, distance: float) -> None:
+        """Adds what was flown along the field, while the vehicle is on its branch."""
+        if distance > ON_BRANCH_SHARE * self._Branch(memory).length:
+            return
+        command = seen.velocity_command[: self._dim]
+        along = float(command @ seen.velocity[: self._dim])
+        memory.flown += along / max(math.hypot(*command), 1e-9) * self._period
+
+    def _AdaptScale(self, seen: Seen, memory: Memory, nearest: int) -> None:
+        """Moves the speed to what the thrust allows at a waypoint, and slowly up.
+
+        That is known from the path alone: what the vehicle's own motion demands would
+        rise with each oscillation across the path, and the speed with it.
+        """
+        if seen.speed == 0.0:
+            return
+        target = self._Limits(int(memory.branch), seen.speed)[nearest] / seen.speed
+        fastest = self._max_acceleration / seen.speed
+        rate = (target - memory.scale) / SCALE_TIME
+        memory.scale_rate = float(min(max(rate, -fastest), SPEED_UP_SHARE * fastest))
+        memory.scale += memory.scale_rate * self._period
+
+    def _SpeedFor(self, branch: int, speed: float) -> float:
+        """Returns the speed in m/s at which all of a branch can be followed."""
+        return float(self._Limits(branch, speed).min())
+
+    def _Branch(self, memory: Memory) -> Branch:
+        return self._branches[int(memory.branch)]
