@@ -140,20 +140,29 @@ def plot_velocity(axes: Axes, log: pd.DataFrame) -> Sequence[Artist]:
     return lines
 
 
-def plot_propeller_forces(axes: Axes, log: pd.DataFrame, limit: float) -> Sequence[Artist]:
-    """Draws the four propeller forces of a flight log (N) and their upper limit."""
+def plot_propeller_forces(
+    axes: Axes, log: pd.DataFrame, limit: float, *, zoom: bool = False
+) -> Sequence[Artist]:
+    """Draws the four propeller forces of a flight log (N) and their upper limit.
+
+    With `zoom` the limit only stands in the label, and the forces fill the axes.
+    """
     lines: list[Artist] = []
     for number, color in enumerate((BLUE, ORANGE, GREEN, RED), start=1):
         lines += axes.plot(
             log["time"],
             log[f"force_{number}"],
             color=color,
-            linewidth=0.8,
+            linewidth=0.4 if zoom else 0.8,
             label=f"$f_{number}$",
         )
-    lines.append(axes.axhline(limit, color=GREY, linestyle="--", label="limit"))
-    axes.set(xlabel="time [s]", ylabel="propeller force [N]", ylim=(0, 1.08 * limit))
-    axes.legend(loc="center right", ncols=5)
+    axes.set(xlabel="time [s]", ylabel="propeller force [N]")
+    if zoom:
+        axes.set_ylabel(f"propeller force [N], limit {limit:.2f}")
+    else:
+        lines.append(axes.axhline(limit, color=GREY, linestyle="--", label="limit"))
+        axes.set_ylim(0, 1.08 * limit)
+    axes.legend(loc="upper right" if zoom else "center right", ncols=5)
     axes.grid(alpha=0.3)
     return lines
 

@@ -25,6 +25,7 @@ from systems.guidance import (
 from systems.guidance_loop import AddGuidance
 from systems.lyapunov_monitor import AddLyapunovMonitor, DifferentiableFunction
 from systems.quadrotor import STATE_SIZE, QuadrotorParameters
+from systems.scalars import ToFloat
 from systems.sensing import DEFAULT_SAMPLE_PERIOD, SensorParameters
 from systems.visualization import AddFlightVisualization
 
@@ -160,6 +161,8 @@ def MakeSimulator(diagram: Any, context: Any = None, step: float = INTEGRATION_S
         max_step_size=step,
         use_error_control=False,
         publish_every_time_step=False,
+        # Otherwise the configuration sets the Context back to zero.
+        start_time=ToFloat(simulator.get_context().get_time()),
     )
     ApplySimulatorConfig(config, simulator)
     return simulator

@@ -22,8 +22,8 @@ DEFAULT_BANDWIDTH = 25.0
 """rad/s; twice that of the attitude, so that the delay of the filter is the smaller one.  With
 positions good to 1 mm at 100 Hz the velocity is then good to 1 cm/s."""
 
-# The discrete state: position, velocity and acceleration at the time at which the last sample
-# was true, its age without the known delay, and whether there has been one.
+# The discrete state: position and velocity at the time of which the last sample tells, the last
+# acceleration, the age of the sample without the known delay, and whether there has been one.
 _POSITION, _VELOCITY, _ACCELERATION = slice(0, 3), slice(3, 6), slice(6, 9)
 _AGE, _STARTED, _STATE_SIZE = 9, 10, 11
 

@@ -9,8 +9,20 @@ a mistyped option answer at once.
 from sgvf_drake.cli import training  # isort: skip
 from sgvf_drake.cli import importing  # isort: skip
 from sgvf_drake.cli import following  # isort: skip
+from sgvf_drake.cli import flying  # isort: skip
 from sgvf_drake.cli import verifying  # isort: skip
 from sgvf_drake.cli import singularities  # isort: skip
+from sgvf_drake.cli import demonstrating  # isort: skip
 from sgvf_drake.cli.application import app, main
 
-__all__ = ["app", "following", "importing", "main", "singularities", "training", "verifying"]
+__all__ = [
+    "app",
+    "demonstrating",
+    "flying",
+    "following",
+    "importing",
+    "main",
+    "singularities",
+    "training",
+    "verifying",
+]

@@ -1,6 +1,5 @@
-"""The commands that use a field: follow, fly and demo."""
+"""The command that follows a field with agents: follow."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -14,12 +13,7 @@ from sgvf_drake.cli.options import (
     ReferenceFile,
     columns_of,
 )
-from sgvf_drake.cli.tables import (
-    print_flight,
-    print_folder,
-    print_following,
-    print_training,
-)
+from sgvf_drake.cli.tables import print_folder, print_following
 
 
 @app.command()
@@ -50,52 +44,4 @@ def follow(
             progress=report,
         )
     print_following(summary)
-    print_folder(out)
-
-
-@app.command()
-def fly(
-    field: FieldPath,
-    out: Out,
-    speed: Annotated[float, typer.Option(help="Commanded speed, m/s.")] = 0.45,
-    laps: Annotated[float, typer.Option(help="Laps of every closed piece, at least 1.")] = 2.0,
-    altitude: Annotated[float, typer.Option(help="Height of a planar flight, m.")] = 1.0,
-    scale: Annotated[float, typer.Option(help="Metres in one unit of the waypoints.")] = 1.0,
-    reference: ReferenceFile = None,
-    columns: ReferenceColumns = None,
-    overwrite: Overwrite = False,
-) -> None:
-    """Fly Drake's quadrotor along every piece of the path."""
-    from sgvf_drake.experiments import choose_reference, open_field, run_fly, scale_reference
-
-    loaded = open_field(field)
-    path, kind = choose_reference(
-        loaded, reference, columns_of(columns, reference, "--reference")
-    )
-    metric = loaded.rescaled(scale)
-    with progress() as report:
-        summary = run_fly(
-            metric,
-            (scale_reference(path, scale), kind),
-            out,
-            speed=speed,
-            laps=laps,
-            altitude=altitude,
-            overwrite=overwrite,
-            progress=report,
-        )
-    print_flight(summary)
-    print_folder(out)
-
-
-@app.command()
-def demo(out: Out = Path("demo"), overwrite: Overwrite = False) -> None:
-    """Train on the paper's concentric rings, follow them, and fly each of them."""
-    from sgvf_drake.experiments import run_demo
-
-    with progress() as report:
-        summary = run_demo(out, overwrite=overwrite, progress=report)
-    print_training(summary["train"])
-    print_following(summary["follow"])
-    print_flight(summary["fly"])
     print_folder(out)

@@ -125,6 +125,28 @@ def print_flight(summary: Mapping[str, Any]) -> None:
     console.print(table)
 
 
+def print_tour(summary: Mapping[str, Any]) -> None:
+    """Prints the summary of a tour, a row for each leg and each transfer in turn."""
+    table = Table(title="Tour", title_justify="left")
+    headings = ("from [s]", "flight", "RMS [m]", "max [m]", "speed [m/s]", "force [N]")
+    for heading in headings:
+        table.add_column(Text(heading), justify="right")
+    parts = [*summary["legs"], *summary["transfers"]]
+    for part in sorted(parts, key=lambda part: part["begin_s"]):
+        along = "cross_track_rms_m" in part
+        table.add_row(
+            f"{part['begin_s']:.1f}",
+            f"{'along' if along else 'to'} piece {part['piece'] + 1}",
+            _number(part.get("cross_track_rms_m")),
+            _number(part.get("cross_track_max_m")),
+            f"{part['speed_min_m_s']:.2f} - {part['speed_max_m_s']:.2f}",
+            f"{part['motor_force_min_n']:.2f} - {part['motor_force_max_n']:.2f}",
+        )
+    console.print(table)
+    if not summary["completed"]:
+        errors.print("warning: the tour was not completed", style="bold red")
+
+
 def _aim(pieces: Sequence[Mapping[str, Any]]) -> str:
     """Returns the heading of what is to be completed: laps, ends, or both."""
     kinds = {"end" if piece["open"] else "laps" for piece in pieces}

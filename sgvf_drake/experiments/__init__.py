@@ -6,6 +6,7 @@ from sgvf_drake.experiments.figures import (
     log_density_figure,
     singularity_figure,
     theorem_figure,
+    tour_figure,
     tracking_figure,
     verification_figure,
 )
@@ -13,20 +14,27 @@ from sgvf_drake.experiments.fly import FlightResult, fly
 from sgvf_drake.experiments.follow import FollowResult, follow
 from sgvf_drake.experiments.importing import run_import
 from sgvf_drake.experiments.reference import choose_reference, scale_reference
-from sgvf_drake.experiments.runs import open_field, run_fly, run_follow, run_train
+from sgvf_drake.experiments.runs import open_field, run_fly, run_follow, run_tour, run_train
+from sgvf_drake.experiments.scene import FlightScene, View
 from sgvf_drake.experiments.singularities import run_singularities
+from sgvf_drake.experiments.tour import TourResult, fly_tour
 from sgvf_drake.experiments.tracking import flight_tracking
+from sgvf_drake.experiments.tube import tube_curves
 from sgvf_drake.experiments.verify import check_theorem, choose_path, run_verify
 
 __all__ = [
     "FlightResult",
+    "FlightScene",
     "FollowResult",
+    "TourResult",
+    "View",
     "check_feasibility",
     "check_theorem",
     "choose_path",
     "choose_reference",
     "flight_tracking",
     "fly",
+    "fly_tour",
     "follow",
     "log_density_figure",
     "open_field",
@@ -35,11 +43,14 @@ __all__ = [
     "run_follow",
     "run_import",
     "run_singularities",
+    "run_tour",
     "run_train",
     "run_verify",
     "scale_reference",
     "singularity_figure",
     "theorem_figure",
+    "tour_figure",
     "tracking_figure",
+    "tube_curves",
     "verification_figure",
 ]

@@ -1,6 +1,7 @@
 """A flight simulated from a hover, and its logs as one table."""
 
 from contextlib import nullcontext
+from typing import Any
 
 import pandas as pd
 from pydrake.systems.framework import Context, Diagram
@@ -9,7 +10,7 @@ from sgvf_drake.experiments.scene import FlightScene
 from sgvf_drake.experiments.simulation import advance, read_log
 from sgvf_drake.fields import FloatArray
 from sgvf_drake.progress import Progress, no_progress
-from systems import MakeSimulator, SetHover
+from systems import MakeSimulator, MotionCapture, SetHover
 
 LOG_PERIOD = 0.01
 STATE_COLUMNS = (
@@ -27,6 +28,7 @@ def simulate(
     progress: Progress = no_progress,
     scene: FlightScene | None = None,
     name: str = "flight",
+    seed: int = 0,
 ) -> tuple[pd.DataFrame, float]:
     """Flies from a hover; returns the log and the wall time in seconds.
 
@@ -37,13 +39,22 @@ def simulate(
         progress: Told how far it is.
         scene: Shows the flight; the diagram was made with its meshcat.
         name: Of the flight, and of the page that the scene leaves.
+        seed: Of the noise of the measurements, where they have any.
     """
     simulator = MakeSimulator(diagram)
     context = simulator.get_mutable_context()
-    SetHover(diagram, context, start)
+    start_hover(diagram, context, start, seed)
     with nullcontext() if scene is None else scene.show(simulator, name):
         wall_s = advance(simulator, duration, LOG_PERIOD, "fly", progress)
     return flight_log(diagram, context), wall_s
+
+
+def start_hover(diagram: Any, context: Context, start: FloatArray, seed: int) -> None:
+    """Sets a flight to hover at p_WB (3,) in m, and the seed of its measurements."""
+    SetHover(diagram, context, start)
+    capture = diagram.GetSubsystemByName("motion_capture")
+    if isinstance(capture, MotionCapture):
+        capture.SetNoiseSeed(capture.GetMyMutableContextFromRoot(context), seed)
 
 
 def flight_log(diagram: Diagram, context: Context) -> pd.DataFrame:

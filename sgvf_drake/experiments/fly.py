@@ -19,7 +19,7 @@ from sgvf_drake.fields import FloatArray, GuidingField
 from sgvf_drake.metrics import REACH_DISTANCE, REST_WINDOW, FollowMetrics, follow_metrics
 from sgvf_drake.paths import Reference, ReferencePath, TreeReference
 from sgvf_drake.progress import Progress, no_progress
-from systems import MakeFlightDiagram, QuadrotorParameters
+from systems import MakeFlightDiagram, QuadrotorParameters, SensorParameters
 
 # The vehicle hovers this many U beside the path at the start.
 START_OFFSET = 0.5
@@ -111,6 +111,8 @@ def fly(
     parameters: QuadrotorParameters | None = None,
     progress: Progress = no_progress,
     scene: FlightScene | None = None,
+    sensors: SensorParameters | None = None,
+    seed: int = 0,
 ) -> FlightResult:
     """Flies the quadrotor along every piece, each from an off-path hover.
 
@@ -127,6 +129,8 @@ def fly(
         parameters: The vehicle; None: the paper's.
         progress: Told how far each simulation is.
         scene: Shows the flights; None: nothing does.
+        sensors: Noise, delay and rates of the measurements; None: they are ideal.
+        seed: Of their noise.
 
     Raises:
         ConfigurationError: A value cannot be used, the field is neither planar nor
@@ -134,18 +138,14 @@ def fly(
         NonFiniteValueError: A value in the loop became NaN or infinite.
     """
     parameters = parameters or QuadrotorParameters()
-    if not (np.isfinite(speed) and speed > 0):
-        raise ConfigurationError(f"the speed must be a positive number, not {speed}")
-    if not (np.isfinite(laps) and laps >= 1):
-        raise ConfigurationError(f"the number of laps must be at least 1, not {laps}")
-    if not (np.isfinite(altitude) and altitude > 0):
-        raise ConfigurationError(f"the altitude must be a positive number, not {altitude}")
+    check_flight(speed, laps, altitude)
     diagram = MakeFlightDiagram(
         field,
         parameters,
         speed=speed,
         altitude=altitude,
         log_period=LOG_PERIOD,
+        sensors=sensors,
         meshcat=None if scene is None else scene.meshcat,
     )
     if scene is not None:
@@ -164,7 +164,7 @@ def fly(
         duration = flight_duration(reference, piece, unit, speed, laps)
         with lost_control_named(piece, speed, feasibility):
             log, wall_s = simulate(
-                diagram, start, duration, progress, scene, f"flight_{piece + 1}"
+                diagram, start, duration, progress, scene, f"flight_{piece + 1}", seed
             )
         errors = reference.project(log[["x", "y", "z"][: field.dim]].to_numpy()).distance
         log["cross_track_error"] = errors
@@ -176,6 +176,16 @@ def fly(
         }
         flights.append(PieceFlight(piece, log, {"piece": piece, **summary}))
     return FlightResult(flights, feasibility, parameters)
+
+
+def check_flight(speed: float, laps: float, altitude: float) -> None:
+    """Raises ConfigurationError unless a flight can be asked for with these values."""
+    if not (np.isfinite(speed) and speed > 0):
+        raise ConfigurationError(f"the speed must be a positive number, not {speed}")
+    if not (np.isfinite(laps) and laps >= 1):
+        raise ConfigurationError(f"the number of laps must be at least 1, not {laps}")
+    if not (np.isfinite(altitude) and altitude > 0):
+        raise ConfigurationError(f"the altitude must be a positive number, not {altitude}")
 
 
 def flown_pieces(reference: Reference, unit_length: float) -> list[int]:

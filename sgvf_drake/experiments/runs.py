@@ -1,5 +1,6 @@
-"""The commands' work: train, follow and fly, each into a folder of results."""
+"""The commands' work: train, follow, fly and tour, each into a folder of results."""
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from os import PathLike
 from pathlib import Path
@@ -16,14 +17,17 @@ from sgvf_drake.experiments.results import (
     save_figure,
     write_summary,
 )
+from sgvf_drake.experiments.scene import NO_VIEW, View
+from sgvf_drake.experiments.tour import fly_tour
 from sgvf_drake.fields import GuidingField, load_field
 from sgvf_drake.paths import PointCloud, Reference
 from sgvf_drake.progress import Progress, no_progress
-from systems import FieldForSpeed
+from systems import FieldForSpeed, SensorParameters
 
 FIELD_FILE = "field.safetensors"
 TRAIN_FILES = (SUMMARY, FIELD_FILE, "losses.csv", "field.png")
 FOLLOW_FILES = (SUMMARY, "trajectories.parquet", "follow.png")
+TOUR_FILES = (SUMMARY, "tour.parquet", "tour.png", "tour.html")
 
 Folder = str | PathLike[str]
 
@@ -158,6 +162,9 @@ def run_fly(
     speed: float = 0.45,
     laps: float = 2.0,
     altitude: float = 1.0,
+    sensors: SensorParameters | None = None,
+    seed: int = 0,
+    view: View = NO_VIEW,
     overwrite: bool = False,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
@@ -170,6 +177,9 @@ def run_fly(
         speed: Commanded speed, m/s.
         laps: Lengths of each closed piece, at least 1.
         altitude: Height of the flight where the field is planar, m.
+        sensors: Noise, delay and rates of the measurements; None: they are ideal.
+        seed: Of their noise.
+        view: How the flights are watched; with pages, there is one for each piece.
         overwrite: Whether results there may be replaced.
         progress: Told how far each simulation is.
 
@@ -178,15 +188,96 @@ def run_fly(
     """
     path, kind = reference or choose_reference(field)
     pieces = range(1, 1 + len(path.lengths))
-    names = [f"flight_{n}.{suffix}" for n in pieces for suffix in ("png", "parquet")]
+    names = [f"flight_{n}.{suffix}" for n in pieces for suffix in ("png", "parquet", "html")]
     with result_folder(out, (SUMMARY, *names), overwrite=overwrite) as folder:
-        result = fly(field, path, speed, laps, altitude, progress=progress)
+        result = fly(
+            field,
+            path,
+            speed,
+            laps,
+            altitude,
+            progress=progress,
+            scene=view.scene(folder),
+            sensors=sensors,
+            seed=seed,
+        )
         flown = FieldForSpeed(field, speed)
         for flight in result.flights:
             stem = folder / f"flight_{flight.piece + 1}"
             flight.log.to_parquet(stem.with_suffix(".parquet"))
             figure = figures.flight_figure(flown, field.cloud, flight, result)
             save_figure(figure, stem.with_suffix(".png"))
-        summary = {**result.summary(), "reference": kind, **origin(field)}
+        summary = {
+            **result.summary(),
+            "reference": kind,
+            "sensors": _sensor_summary(sensors, seed),
+            **origin(field),
+        }
         write_summary(folder, summary)
     return summary
+
+
+def run_tour(
+    field: GuidingField,
+    reference: tuple[Reference, str] | None,
+    out: Folder,
+    tour: Sequence[int],
+    *,
+    speed: float = 0.45,
+    laps: float = 1.0,
+    altitude: float = 1.0,
+    sensors: SensorParameters | None = None,
+    seed: int = 0,
+    view: View = NO_VIEW,
+    overwrite: bool = False,
+    progress: Progress = no_progress,
+) -> dict[str, Any]:
+    """Flies along several pieces in one flight; leaves the log, a figure, the summary.
+
+    Args:
+        field: The field, in metres.
+        reference: From `choose_reference`; None: the best there is without a file.
+        out: The folder of the results.
+        tour: Numbers of the pieces, from 0, in the order in which they are flown.
+        speed: Commanded speed, m/s.
+        laps: Of each closed piece, at least 1.
+        altitude: Height of the flight where the field is planar, m.
+        sensors: Noise, delay and rates of the measurements; None: they are ideal.
+        seed: Of their noise.
+        view: How the flight is watched.
+        overwrite: Whether results there may be replaced.
+        progress: Told how far the simulation is.
+
+    Returns:
+        The summary.
+    """
+    path, kind = reference or choose_reference(field)
+    with result_folder(out, TOUR_FILES, overwrite=overwrite) as folder:
+        result = fly_tour(
+            field,
+            path,
+            tour,
+            speed,
+            laps,
+            altitude,
+            sensors=sensors,
+            seed=seed,
+            progress=progress,
+            scene=view.scene(folder),
+        )
+        result.log.to_parquet(folder / "tour.parquet")
+        figure = figures.tour_figure(FieldForSpeed(field, speed), field.cloud, result)
+        save_figure(figure, folder / "tour.png")
+        summary = {
+            **result.summary(),
+            "speed_command_m_s": speed,
+            "reference": kind,
+            "sensors": _sensor_summary(sensors, seed),
+            **origin(field),
+        }
+        write_summary(folder, summary)
+    return summary
+
+
+def _sensor_summary(sensors: SensorParameters | None, seed: int) -> dict[str, Any] | None:
+    return None if sensors is None else {**asdict(sensors), "seed": seed}

@@ -10,7 +10,15 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import Simulator
 
 from sgvf_drake.fields import FloatArray, GuidingField
-from systems import DrawField, DrawTube, DrawWaypoints, FieldForSpeed, SaveRecording, SetView
+from systems import (
+    DrawField,
+    DrawTube,
+    DrawWaypoints,
+    FieldForSpeed,
+    MakeMeshcat,
+    SaveRecording,
+    SetView,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,3 +73,32 @@ class FlightScene:
             visualizer.StopRecording()
             SaveRecording(self.meshcat, self.pages / f"{name}.html")
             visualizer.DeleteRecording()
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """How somebody wants to watch flights.
+
+    Attributes:
+        pages: Whether each flight leaves a page with its recording.
+        meshcat: Where to watch it live; None: nowhere.
+        tube: The border of the tube where one is known, polylines (k, 2) in m.
+    """
+
+    pages: bool = False
+    meshcat: Meshcat | None = None
+    tube: Sequence[FloatArray] = ()
+
+    def scene(self, folder: Path) -> FlightScene | None:
+        """Returns the scene for flights that leave their results in a folder."""
+        if not self.pages and self.meshcat is None:
+            return None
+        return FlightScene(
+            self.meshcat or MakeMeshcat(port=0),
+            folder if self.pages else None,
+            self.meshcat is not None,
+            self.tube,
+        )
+
+
+NO_VIEW = View()

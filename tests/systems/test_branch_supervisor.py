@@ -497,7 +497,6 @@ def test_clone_in_a_transfer_flies_on_alike(rings_field):
     flight.advance(2.5)
     assert flight.mode == Mode.TRANSFER
     twin = MakeSimulator(flight.diagram, flight.context.Clone())
-    twin.get_mutable_context().SetTime(flight.context.get_time())
     twin.AdvanceTo(8.0)
     flight.advance(4.5)
     np.testing.assert_array_equal(

@@ -8,6 +8,7 @@ from sgvf_drake.experiments.figures.runs import (
 )
 from sgvf_drake.experiments.figures.singularities import log_density_figure, singularity_figure
 from sgvf_drake.experiments.figures.theorem import theorem_figure
+from sgvf_drake.experiments.figures.tour import tour_figure
 from sgvf_drake.experiments.figures.tracking import tracking_figure
 from sgvf_drake.experiments.figures.verification import verification_figure
 
@@ -17,6 +18,7 @@ __all__ = [
     "log_density_figure",
     "singularity_figure",
     "theorem_figure",
+    "tour_figure",
     "tracking_figure",
     "training_figure",
     "trajectory_table",

@@ -1,0 +1,116 @@
+"""The command that flies the quadrotor: fly."""
+
+import logging
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from sgvf_drake.cli.application import app, console, progress
+from sgvf_drake.cli.options import (
+    FieldPath,
+    Out,
+    Overwrite,
+    ReferenceColumns,
+    ReferenceFile,
+    columns_of,
+)
+from sgvf_drake.cli.tables import print_flight, print_folder, print_tour
+from sgvf_drake.exceptions import ConfigurationError
+
+
+@app.command()
+def fly(
+    field: FieldPath,
+    out: Out,
+    speed: Annotated[float, typer.Option(help="Commanded speed, m/s.")] = 0.45,
+    laps: Annotated[
+        float | None,
+        typer.Option(help="Laps of closed pieces, at least 1  \\[default: 2; of a tour 1]."),
+    ] = None,
+    altitude: Annotated[float, typer.Option(help="Height of a planar flight, m.")] = 1.0,
+    scale: Annotated[float, typer.Option(help="Metres in one unit of the waypoints.")] = 1.0,
+    tour: Annotated[
+        str | None,
+        typer.Option(help="Pieces to fly in one flight, in this order: 1,2,1."),
+    ] = None,
+    sensors: Annotated[
+        bool, typer.Option("--sensors", help="Measure with noise and delay, at 100 Hz.")
+    ] = False,
+    seed: Annotated[int, typer.Option(help="Seed of the noise of --sensors.", min=0)] = 0,
+    html: Annotated[
+        bool, typer.Option("--html", help="Save recordings: pages that open offline.")
+    ] = False,
+    meshcat: Annotated[
+        bool, typer.Option("--meshcat", help="Show it live in a browser, at real time.")
+    ] = False,
+    tube: Annotated[
+        Path | None,
+        typer.Option(help="Results of sgvf verify, whose tube --html and --meshcat show."),
+    ] = None,
+    reference: ReferenceFile = None,
+    columns: ReferenceColumns = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Fly Drake's quadrotor along every piece of the path, or from piece to piece."""
+    from sgvf_drake.experiments import (
+        choose_reference,
+        open_field,
+        run_fly,
+        run_tour,
+        scale_reference,
+    )
+    from systems import SensorParameters
+
+    # Drake tells on its own where every Meshcat listens.
+    logging.getLogger("drake").setLevel(logging.WARNING)
+    loaded = open_field(field)
+    path, kind = choose_reference(
+        loaded, reference, columns_of(columns, reference, "--reference")
+    )
+    options: dict[str, Any] = {
+        "speed": speed,
+        "altitude": altitude,
+        "sensors": SensorParameters() if sensors else None,
+        "seed": seed,
+        "view": _view(loaded, scale, html, meshcat, tube),
+        "overwrite": overwrite,
+    }
+    if laps is not None:
+        options["laps"] = laps
+    metric, chosen = loaded.rescaled(scale), (scale_reference(path, scale), kind)
+    with progress() as report:
+        options["progress"] = report
+        if tour is None:
+            summary = run_fly(metric, chosen, out, **options)
+        else:
+            summary = run_tour(metric, chosen, out, _pieces_of(tour), **options)
+    if tour is None:
+        print_flight(summary)
+    else:
+        print_tour(summary)
+    print_folder(out)
+
+
+def _pieces_of(tour: str) -> list[int]:
+    """Reads --tour: numbers from 1, as the tables give them."""
+    try:
+        return [int(number) - 1 for number in tour.split(",")]
+    except ValueError:
+        raise ConfigurationError(f"--tour {tour} is no list of pieces, as 1,2,1 is") from None
+
+
+def _view(loaded: Any, scale: float, html: bool, meshcat: bool, tube: Path | None) -> Any:
+    """Returns how the flights are watched, and tells where."""
+    from sgvf_drake.experiments import View, tube_curves
+    from systems import MakeMeshcat
+
+    if tube is not None and not (html or meshcat):
+        raise ConfigurationError(f"--tube {tube} is shown by --html or --meshcat; give one")
+    curves = () if tube is None else tube_curves(loaded, tube, scale)
+    viewer = MakeMeshcat() if meshcat else None
+    if viewer is not None:
+        console.print(f"watch it at {viewer.web_url()}", highlight=False)
+        if console.is_terminal:
+            console.input("press Enter to take off ...")
+    return View(html, viewer, curves)
