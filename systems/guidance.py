@@ -256,8 +256,8 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             speed, altitude, approach_length = self._ReadParameters(context)
             field = self._Flown(approach_length).evaluate(state[: self._field.dim])
             commands = self._Calc(field, state, speed, altitude)
-            # Looked at afterwards: what is not finite has made the commands so.
-            if not math.isfinite(ToFloat(commands.sum())):
+            # Looked at afterwards: what is not finite has made all commands so.
+            if not math.isfinite(ToFloat(commands[0])):
                 CheckFinite(self, context, self._state, ToList(state))
                 CheckFinite(self, context, "the field's value or Jacobian", ToList(field))
                 CheckFinite(self, context, "the command", ToList(commands))
@@ -305,7 +305,7 @@ def _CalcCommandsInPython(
     field: np.ndarray, state: np.ndarray, speed: Scalar, altitude: Scalar
 ) -> np.ndarray:
     commands = _CalcCommands(field, state, speed, altitude, np.empty(6, object))
-    if not np.isfinite(ToList(state)).all():
+    if not all(map(math.isfinite, (*ToList(state), *ToList(commands)))):
         commands[:] = np.nan
     return commands
 
@@ -318,7 +318,7 @@ def _MakeCompiled(sources: int) -> Any:
         sources  # noqa: B018 (enclosed to be in the key of the cache; see `digest`)
         commands = _CalcCommands(field, state, speed, altitude, np.empty(6))
         # Attitude and rates do not enter the commands, but must not pass as good either.
-        if not np.isfinite(state).all():
+        if not (np.isfinite(state).all() and np.isfinite(commands).all()):
             commands[:] = np.nan
         return commands
 

@@ -139,7 +139,7 @@ class MotionCapture(Diagram):
         return self._parameters
 
     def SetVectorState(self, context: Context, state: Any) -> None:
-        """Makes the estimate the true state, as after a long look at a vehicle at rest.
+        """Makes the estimate the true state, as after a long look at a vehicle going straight.
 
         Args:
             context: This system's own.
@@ -151,9 +151,10 @@ class MotionCapture(Diagram):
             self.GetMutableSubsystemContext(self._estimator, context), state[:3], state[6:9]
         )
         if self._delay is not None:
-            own = self.GetMutableSubsystemContext(self._delay, context)
-            buffer: Any = own.get_mutable_discrete_state_vector()
-            buffer.SetFromVector(np.tile(state[:3], buffer.size() // 3))
+            own: Any = self.GetMutableSubsystemContext(self._delay, context)
+            steps = np.arange(self._parameters.delay_steps, 0, -1)  # The oldest comes first.
+            passed = np.outer(steps * self._parameters.sample_period, state[6:9])
+            own.SetDiscreteState((state[:3] - passed).ravel())
 
     def SetNoiseSeed(self, context: Context, seed: int) -> None:
         """Sets the seed of the noise, so that a flight repeats exactly.

@@ -23,9 +23,10 @@ DEFAULT_BANDWIDTH = 25.0
 positions good to 1 mm at 100 Hz the velocity is then good to 1 cm/s."""
 
 # The discrete state: position and velocity at the time of which the last sample tells, the last
-# acceleration, the age of the sample without the known delay, and whether there has been one.
+# acceleration, the age of the sample without the known delay, the time of the last update (it
+# is not a period ago where an estimate was set in between), and whether it has started.
 _POSITION, _VELOCITY, _ACCELERATION = slice(0, 3), slice(3, 6), slice(6, 9)
-_AGE, _STARTED, _STATE_SIZE = 9, 10, 11
+_AGE, _TIME, _STARTED, _STATE_SIZE = 9, 10, 11, 12
 
 
 @TemplateSystem.define("StateEstimator_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
@@ -140,9 +141,8 @@ def StateEstimator_(T: type) -> Any:  # noqa: D103 (the class below says it)
             """
             position, velocity = np.asarray(position), np.asarray(velocity)
             then = position - velocity * self.GetDelay(context)
-            context.SetDiscreteState(
-                self._state_index, ToVector(T, [*then, *velocity, *np.zeros(3), 0.0, 1.0])
-            )
+            state = [*then, *velocity, *np.zeros(3), 0.0, context.get_time(), 1.0]
+            context.SetDiscreteState(self._state_index, ToVector(T, state))
 
         def _Update(self, context: Any, values: Any) -> None:
             state = self._State(context)
@@ -152,20 +152,22 @@ def StateEstimator_(T: type) -> Any:  # noqa: D103 (the class below says it)
             if self._acceleration.HasValue(context):
                 acceleration = self._acceleration.Eval(context)
                 CheckFinite(self, context, self._acceleration, ToList(acceleration))
-            dt, age, started = self._period, state[_AGE] + self._period, state[_STARTED]
-            position = position + velocity * dt + acceleration * (0.5 * dt * dt)
-            velocity = velocity + acceleration * dt
+            now, started = context.get_time(), state[_STARTED]
+            elapsed = now - state[_TIME]
+            age = state[_AGE] + elapsed
+            position = position + elapsed * (velocity + 0.5 * elapsed * acceleration)
+            velocity = velocity + elapsed * acceleration
             if self._IsSample(context, measured, started):
                 age = T(0.0)
                 if ToFloat(started) == 0.0:
                     position, velocity, started = measured, np.zeros(3), T(1.0)
-                pole = np.exp(-self.GetBandwidth(context) * dt)
+                pole = np.exp(-self.GetBandwidth(context) * self._period)
                 innovation = measured - position
                 position = position + (1.0 - pole * pole) * innovation
-                velocity = velocity + (1.0 - pole) ** 2 / dt * innovation
+                velocity = velocity + (1.0 - pole) ** 2 / self._period * innovation
             vector = values.get_mutable_vector(self._state_index)
             vector.SetFromVector(
-                ToVector(T, [*position, *velocity, *acceleration, age, started])
+                ToVector(T, [*position, *velocity, *acceleration, age, now, started])
             )
 
         def _IsSample(self, context: Any, measured: Any, started: Scalar) -> bool:
