@@ -5,17 +5,23 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
+AS_ROOT := $(if $(filter 0,$(shell id -u)),,sudo)
 # The networks are small: more threads cost more than they bring.
 export OMP_NUM_THREADS ?= 1
 export MPLBACKEND ?= Agg
 
-.PHONY: demo test check format bench bench-learning clean
+.PHONY: demo test browser check format bench bench-learning clean
 
 demo: $(VENV)/.run-time
 	$(BIN)/sgvf demo --out demo --overwrite
 
-test: $(VENV)/.development
+test: $(VENV)/.development browser
 	$(BIN)/python -m pytest -m "not benchmark"
+
+# The pages of flights are tested in Chromium, which Debian has and PyPI has not.
+browser:
+	command -v chromium >/dev/null || $(AS_ROOT) sh -c "apt-get update -qq && \
+		DEBIAN_FRONTEND=noninteractive apt-get install -y -qq chromium"
 
 check: $(VENV)/.development
 	$(BIN)/ruff format --check .

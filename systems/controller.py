@@ -56,8 +56,9 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
         force constant kF, which is 1 by default.  Each force is in
         [0, `QuadrotorParameters.max_propeller_force`] if saturated.
 
-        `acceleration` (3) in m/s^2 in W is what these forces give a vehicle of the believed
-        mass at this attitude: what an accelerometer would show, for a `StateEstimator`.
+        `acceleration` (3) in m/s^2 in W is what these forces give the vehicle at this
+        attitude, whatever mass is believed: what an accelerometer would show, for a
+        `StateEstimator`.
 
         The law is that of Lee, Leok and McClamroch 2010 (see `systems.se3_law`), with a
         velocity command in place of a trajectory and the heading held fixed.  The numeric
@@ -171,7 +172,7 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
             roll, pitch, yaw = self._state.Eval(context)[3:6].tolist()
             R_WB, _ = CalcAttitude((roll, pitch, yaw), (0.0, 0.0, 0.0))
             thrust = self._parameters.force_constant * forces.sum()
-            lift = thrust / self.GetBody(context).mass
+            lift = thrust / self._parameters.mass
             x, y, z = R_WB[2]
             output.SetFromVector([lift * x, lift * y, lift * z - self._parameters.gravity])
 

@@ -254,6 +254,7 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
         def _CalcCommands(self, context: Any, value: Any) -> None:
             state = self._state.Eval(context)
             speed, altitude, approach_length = self._ReadParameters(context)
+            CheckSpeed(speed)
             field = self._Flown(approach_length).evaluate(state[: self._field.dim])
             commands = self._Calc(field, state, speed, altitude)
             # Looked at afterwards: what is not finite has made all commands so.

@@ -61,6 +61,8 @@ def StateEstimator_(T: type) -> Any:  # noqa: D103 (the class below says it)
         to Sequential Smoothing and Prediction, 1969).  While samples are lost it predicts,
         with the acceleration.  Position and velocity are extrapolated over the delay with the
         last acceleration, so that a motion of constant acceleration is followed without error.
+        The acceleration is taken as that of now, not of `delay` ago: while it changes at a
+        rate j, the velocity is off by about 2 j delay / bandwidth.
 
         The one numeric parameter (index `parameter_index`) holds (bandwidth in rad/s, delay
         in s); see `SetBandwidth` and `SetDelay`.

@@ -89,8 +89,12 @@ class Supervision:
 
     def Step(self, settings: Settings, seen: Seen, memory: Memory) -> None:
         """Changes the memory at a sample: first the mode, then the reference."""
-        if not memory.begun:
+        if memory.speed < 0.0:
             self._Start(settings, seen, memory)
+        elif seen.speed > memory.speed:
+            # A speed that is raised is taken up from the one that was flown.
+            memory.scale *= max(memory.speed / seen.speed, LEAST_SCALE)
+        memory.speed = seen.speed
         nearest, distance = self._Branch(memory).Nearest(seen.position[: self._dim])
         self._Decide(settings, seen, memory, distance)
         if memory.mode == Mode.FOLLOW:
@@ -102,7 +106,6 @@ class Supervision:
 
     def _Start(self, settings: Settings, seen: Seen, memory: Memory) -> None:
         """Takes up the wanted branch and the speed that the vehicle has."""
-        memory.begun = 1.0
         memory.branch = max(float(self._Wanted(settings, memory)), 0.0)
         speed = math.hypot(*seen.velocity[: self._dim])
         memory.scale = min(max(speed / max(seen.speed, 1e-9), LEAST_SCALE), 1.0)

@@ -98,7 +98,7 @@ class Memory:
         departure: Time in s of that departure.
         start: Time in s at which the planned motion started.
         duration: Of the planned motion in s.
-        begun: 1 after the first sample, 0 before.
+        speed: The commanded speed at the last sample in m/s, -1 before the first.
         control_points: Of the planned motion, (6, d) in m.
     """
 
@@ -116,7 +116,7 @@ class Memory:
     departure: float
     start: float
     duration: float
-    begun: float
+    speed: float
     control_points: FloatArray
 
     @classmethod
@@ -125,7 +125,7 @@ class Memory:
         vector = np.zeros(CONTROL_POINTS_OFFSET + NUM_CONTROL_POINTS * dim)
         start = cls.FromVector(vector)
         start.weight, start.scale, start.duration = 1.0, 1.0, 1.0
-        start.branch, start.target = float(branch), float(ON_TOUR)
+        start.branch, start.target, start.speed = float(branch), float(ON_TOUR), -1.0
         return start
 
     @classmethod
@@ -147,7 +147,7 @@ class Memory:
                 self.velocity,
                 self.acceleration,
                 (self.branch, self.stop, self.flown, self.target, self.departure),
-                (self.start, self.duration, self.begun),
+                (self.start, self.duration, self.speed),
                 self.control_points.ravel(),
             )
         )

@@ -117,10 +117,13 @@ def test_files_and_folders_are_those_of_the_project():
 
 def test_results_are_named_as_they_are_written():
     from sgvf_drake.experiments.importing import IMPORT_FILES
-    from sgvf_drake.experiments.runs import FOLLOW_FILES, TRAIN_FILES
+    from sgvf_drake.experiments.runs import FOLLOW_FILES, TOUR_FILES, TRAIN_FILES
     from sgvf_drake.experiments.singularities import SINGULARITIES_FILES
     from sgvf_drake.experiments.verify import VERIFY_FILES
 
-    written = (*TRAIN_FILES, *FOLLOW_FILES, *IMPORT_FILES, *VERIFY_FILES, *SINGULARITIES_FILES)
+    written = (
+        *(*TRAIN_FILES, *FOLLOW_FILES, *TOUR_FILES),
+        *(*IMPORT_FILES, *VERIFY_FILES, *SINGULARITIES_FILES),
+    )
     for name in (*written, "flight_N.parquet", "waypoints.csv"):
         assert f"`{name}`" in TEXT, name

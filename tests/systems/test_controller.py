@@ -227,9 +227,12 @@ def test_changed_gain_takes_effect_at_once_and_is_cloned():
     CONTROLLER.SetGains(context, gains)
     assert CONTROLLER.GetGains(context.Clone()) == gains
     np.testing.assert_array_equal(
-        CONTROLLER.GetOutputPort("propeller_force").Eval(context), evaluate(CONTROLLER, inputs, gains)
+        CONTROLLER.GetOutputPort("propeller_force").Eval(context),
+        evaluate(CONTROLLER, inputs, gains),
     )
-    assert np.abs(CONTROLLER.GetOutputPort("propeller_force").Eval(context) - before).max() > 1e-3
+    assert (
+        np.abs(CONTROLLER.GetOutputPort("propeller_force").Eval(context) - before).max() > 1e-3
+    )
 
 
 def test_output_is_in_the_units_of_the_plant():

@@ -93,7 +93,9 @@ def propeller_forces(diagram, x):
     context = diagram.CreateDefaultContext()
     context.SetContinuousState(x)
     controller = diagram.GetSubsystemByName("controller")
-    return controller.GetOutputPort("propeller_force").Eval(controller.GetMyContextFromRoot(context))
+    return controller.GetOutputPort("propeller_force").Eval(
+        controller.GetMyContextFromRoot(context)
+    )
 
 
 def check_limits(diagram, x):

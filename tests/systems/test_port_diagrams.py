@@ -3,48 +3,61 @@
 import inspect
 import re
 
+import numpy as np
 from pydrake.common.cpp_template import TemplateClass
 from pydrake.common.yaml import yaml_load
 from pydrake.geometry import FrameId
-from pydrake.systems.framework import LeafSystem, LeafSystem_
+from pydrake.systems.framework import Diagram, LeafSystem, LeafSystem_
 import pytest
 
 from sgvf_drake.fields import GaussianMixture
 from sgvf_drake.lyapunov import LyapunovFunction
 import systems
 from systems import (
+    Branch,
+    BranchSupervisor,
+    Dropout,
     FlightTrail,
     GuidanceSystem,
     KinematicGuidance,
     LyapunovMonitor,
     MakeMeshcat,
+    MotionCapture,
     QuadrotorGeometry,
     Se3Controller,
+    SensorParameters,
+    StateEstimator,
 )
 
 DIAGRAM = re.compile(r"^\.\. pydrake_system::\n\n((?:    .*\n|\n)+)", re.MULTILINE)
 
 # An instance of each exported system; the diagram is that of any of them.
 MAKERS = {
+    "BranchSupervisor": lambda field: BranchSupervisor(
+        field, (Branch(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), 3.4, True),)
+    ),
+    "Dropout": lambda _: Dropout(12, [(1.0, 2.0)], [0]),
     "FlightTrail": lambda _: FlightTrail(MakeMeshcat(port=0)),
     "GuidanceSystem": lambda field: GuidanceSystem(field),
     "KinematicGuidance": lambda field: KinematicGuidance(field, 3),
     "LyapunovMonitor": lambda field: LyapunovMonitor(
         LyapunovFunction(GaussianMixture(field.cloud.points, 0.4)), 3
     ),
+    "MotionCapture": lambda _: MotionCapture(SensorParameters()),
     "QuadrotorGeometry": lambda _: QuadrotorGeometry(FrameId.get_new_id()),
     "Se3Controller": lambda _: Se3Controller(),
+    "StateEstimator": lambda _: StateEstimator(0.01),
 }
 
 
 def exported_systems():
-    """The classes of leaf systems among the exported names; those of templates in float."""
+    """The classes of systems among the exported names; those of templates in float."""
     found = {}
     for name in systems.__all__:
         value = getattr(systems, name)
         if isinstance(value, TemplateClass):
             value, name = value[None], name.removesuffix("_")
-        if inspect.isclass(value) and issubclass(value, LeafSystem):
+        if inspect.isclass(value) and issubclass(value, LeafSystem | Diagram):
             found[name] = value
     return found
 
@@ -73,9 +86,9 @@ def check_diagram(system, diagram):
 
 
 def test_systems_are_found():
-    assert {"GuidanceSystem", "Se3Controller", "KinematicGuidance", "LyapunovMonitor"} <= set(
-        exported_systems()
-    )
+    # Of each kind: from a template, a plain leaf system, a diagram.
+    assert {"GuidanceSystem", "FlightTrail", "MotionCapture"} <= set(exported_systems())
+    assert set(MAKERS) == set(exported_systems())
 
 
 @pytest.mark.parametrize("name", exported_systems())

@@ -1,0 +1,340 @@
+"""The motion capture with noise and delay: what arrives when, and how noisy it is."""
+
+from dataclasses import replace
+import math
+
+import numpy as np
+from pydrake.common import RandomGenerator
+from pydrake.polynomial import Polynomial
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import (
+    ConstantVectorSource,
+    LogVectorOutput,
+    PassThrough,
+    RandomSource,
+    TrajectorySource,
+    ZeroOrderHold,
+)
+from pydrake.trajectories import PiecewisePolynomial
+import pytest
+from scipy.signal import lfilter
+
+from sgvf_drake.exceptions import ConfigurationError
+from systems import AddMotionCapture, Dropout, MotionCapture, SensorParameters
+
+NOISELESS = SensorParameters(position_noise=0.0, attitude_noise=0.0, rate_noise=0.0)
+PERIOD, ONBOARD_PERIOD = NOISELESS.sample_period, NOISELESS.onboard_period
+DELAYS = [0.0, 0.01, 0.03]
+STATE = np.concatenate(([1.3, -0.4, 1.1], np.random.default_rng(3).uniform(-1.0, 1.0, 9)))
+POSITION, ATTITUDE, VELOCITY, RATES = (slice(k, k + 3) for k in (0, 3, 6, 9))
+NOISY_ENTRIES = [*range(6), 9, 10, 11]
+
+
+def smooth_motion(duration=2.0):
+    """A motion of the whole state (12) that starts with the position at rest."""
+    rng = np.random.default_rng(5)
+    times = np.linspace(0.0, duration, 9)
+    ends = np.zeros((12, 1))
+    return PiecewisePolynomial.CubicWithContinuousSecondDerivatives(
+        times, rng.uniform(-1.0, 1.0, (12, len(times))), ends, ends
+    )
+
+
+def polynomial_motion(*coefficients):
+    """A motion of the position with these coefficients (3,) of 1, t, t^2..; zeros elsewhere."""
+    rows = np.zeros((12, len(coefficients)))
+    rows[POSITION] = np.column_stack(coefficients)
+    return PiecewisePolynomial([np.array([[Polynomial(row)] for row in rows])], [0.0, 3.0])
+
+
+class Setup:
+    """A motion capture that sees the output of a source, with logs of what it tells."""
+
+    def __init__(self, parameters, source, acceleration=None, dropout=None):
+        builder = DiagramBuilder()
+        seen = builder.AddSystem(source).get_output_port()
+        if dropout is not None:
+            lost = builder.AddSystem(dropout)
+            builder.Connect(seen, lost.get_input_port())
+            seen = lost.get_output_port()
+        self.capture = builder.AddNamedSystem("motion_capture", MotionCapture(parameters))
+        builder.Connect(seen, self.capture.GetInputPort("state"))
+        if acceleration is not None:
+            builder.Connect(
+                builder.AddSystem(ConstantVectorSource(acceleration)).get_output_port(),
+                self.capture.GetInputPort("acceleration"),
+            )
+        # A log sees what holds until its sample.
+        self.logs = {
+            name: LogVectorOutput(self.capture.GetOutputPort(name), builder, period)
+            for name, period in (
+                ("state", parameters.sample_period),
+                ("onboard_state", parameters.onboard_period),
+            )
+        }
+        self.simulator = Simulator(builder.Build())
+        self.context = self.simulator.get_mutable_context()
+        self.own = self.capture.GetMyMutableContextFromRoot(self.context)
+
+    def output(self, name):
+        return self.capture.GetOutputPort(name).Eval(self.own)
+
+    def after_sample(self, k):
+        """Goes to half a period of the faster sensor after the k-th sample of the slower."""
+        period = self.capture.parameters.sample_period
+        self.simulator.AdvanceTo(k * period + 0.5 * self.capture.parameters.onboard_period)
+        return self.output("state")
+
+    def log(self, name):
+        return self.logs[name].FindLog(self.context).data().T
+
+    def noise(self, seed=None, duration=1.0):
+        """Both logs of a new simulation, without what holds at the start."""
+        if seed is not None:
+            self.capture.SetNoiseSeed(self.own, seed)
+        self.simulator.AdvanceTo(duration)
+        return self.log("state")[1:], self.log("onboard_state")[1:]
+
+
+def noisy_setup(parameters, seed=None, duration=1.0):
+    setup = Setup(parameters, ConstantVectorSource(STATE))
+    setup.capture.SetVectorState(setup.own, STATE)
+    return setup.noise(seed, duration)
+
+
+@pytest.mark.parametrize("delay", DELAYS)
+def test_delay_of_the_chain_is_that_of_the_parameters(delay):
+    """The estimate is what SciPy's filter makes of the true positions of `delay` ago."""
+    motion, parameters = smooth_motion(), replace(NOISELESS, delay=delay)
+    setup = Setup(parameters, TrajectorySource(motion))
+    start = motion.value(0.0)[:, 0]
+    start[VELOCITY] = 0.0
+    setup.capture.SetVectorState(setup.own, start)
+    count = 150
+    then = np.maximum(PERIOD * np.arange(count) - delay, 0.0)
+    seen = np.array([motion.value(t)[POSITION, 0] for t in then]) - start[POSITION]
+    pole = math.exp(-parameters.bandwidth * PERIOD)
+    alpha, beta = 1.0 - pole**2, (1.0 - pole) ** 2
+    denominator = [1.0, alpha + beta - 2.0, 1.0 - alpha]
+    velocity = lfilter([beta / PERIOD, -beta / PERIOD], denominator, seen, axis=0)
+    position = lfilter([alpha, beta - alpha], denominator, seen, axis=0) + delay * velocity
+    estimates = np.array([setup.after_sample(k) for k in range(count)])
+    np.testing.assert_allclose(
+        estimates[:, POSITION] - start[POSITION], position, rtol=0, atol=1e-11
+    )
+    np.testing.assert_allclose(estimates[:, VELOCITY], velocity, rtol=0, atol=1e-10)
+    assert np.abs(velocity).max() > 1.0
+
+
+@pytest.mark.parametrize("delay", DELAYS)
+def test_constant_acceleration_is_followed_without_error(delay):
+    acceleration = np.array([0.5, -1.0, 0.3])
+    motion = polynomial_motion(STATE[POSITION], STATE[VELOCITY], 0.5 * acceleration)
+    setup = Setup(replace(NOISELESS, delay=delay), TrajectorySource(motion), acceleration)
+    estimate = setup.after_sample(200)
+    t = 200 * PERIOD
+    expected = motion.value(t)[POSITION, 0], motion.EvalDerivative(t)[POSITION, 0]
+    np.testing.assert_allclose(estimate[POSITION], expected[0], atol=1e-9)
+    np.testing.assert_allclose(estimate[VELOCITY], expected[1], atol=1e-9)
+
+
+def test_attitude_and_rates_are_sampled_each_at_its_rate():
+    motion = smooth_motion()
+    setup = Setup(NOISELESS, TrajectorySource(motion))
+    for step in range(1, 40):
+        setup.simulator.AdvanceTo((step + 0.5) * ONBOARD_PERIOD)
+        state, onboard = setup.output("state"), setup.output("onboard_state")
+        slow = motion.value(PERIOD * (step // 5))[:, 0]
+        fast = motion.value(ONBOARD_PERIOD * step)[:, 0]
+        for part in (ATTITUDE, RATES):
+            np.testing.assert_allclose(state[part], slow[part], atol=1e-12)
+            np.testing.assert_allclose(onboard[part], fast[part], atol=1e-12)
+        for part in (POSITION, VELOCITY):
+            np.testing.assert_array_equal(state[part], onboard[part])
+
+
+@pytest.mark.parametrize("delay", DELAYS)
+def test_state_that_is_set_is_the_first_estimate(delay):
+    setup = Setup(replace(NOISELESS, delay=delay), ConstantVectorSource(STATE))
+    setup.capture.SetVectorState(setup.own, STATE)
+    for name in ("state", "onboard_state"):
+        np.testing.assert_allclose(setup.output(name), STATE, atol=1e-15)
+    assert setup.output("measurement_age") == [delay]
+
+
+@pytest.mark.parametrize("delay", DELAYS)
+def test_start_of_a_moving_vehicle_makes_no_transient(delay):
+    motion = polynomial_motion(STATE[POSITION], STATE[VELOCITY])
+    setup = Setup(replace(NOISELESS, delay=delay), TrajectorySource(motion))
+    setup.capture.SetVectorState(setup.own, STATE)
+    for k in range(10):
+        estimate = setup.after_sample(k)
+        np.testing.assert_allclose(
+            estimate[POSITION], motion.value(k * PERIOD)[POSITION, 0], atol=1e-12
+        )
+        np.testing.assert_allclose(estimate[VELOCITY], STATE[VELOCITY], atol=1e-11)
+
+
+@pytest.mark.parametrize("delay", DELAYS)
+def test_start_that_was_not_set_is_the_first_measurement(delay):
+    setup = Setup(replace(NOISELESS, delay=delay), ConstantVectorSource(STATE))
+    first = round(delay / PERIOD)
+    for k in range(first + 5):
+        estimate = setup.after_sample(k)
+        np.testing.assert_array_equal(
+            estimate[POSITION], STATE[POSITION] if k >= first else np.zeros(3)
+        )
+        np.testing.assert_array_equal(estimate[VELOCITY], 0.0)
+
+
+def test_lost_position_is_bridged_and_ages():
+    delay = 0.01
+    setup = Setup(
+        replace(NOISELESS, delay=delay),
+        ConstantVectorSource(STATE),
+        dropout=Dropout(12, [(0.195, 0.295)], [1]),
+    )
+    setup.capture.SetVectorState(setup.own, [*STATE[:6], 0.0, 0.0, 0.0, *STATE[9:]])
+    for k in range(40):
+        estimate = setup.after_sample(k)
+        np.testing.assert_allclose(estimate[POSITION], STATE[POSITION], atol=1e-14)
+        # Lost are the samples of 0.2 to 0.29 s, which arrive one period later.
+        lost = k - 20 if 20 < k <= 30 else 0
+        assert setup.output("measurement_age")[0] == pytest.approx(delay + lost * PERIOD)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_has_the_deviations_of_the_parameters_and_is_independent(seed):
+    # So fast an estimator, and no delay: the estimate is what was measured.
+    parameters = SensorParameters(
+        delay=0.0, position_noise=2e-3, attitude_noise=3e-3, rate_noise=0.02, bandwidth=1e5
+    )
+    state, onboard = noisy_setup(parameters, seed, 20.0)
+    deviations = np.repeat([2e-3, 3e-3, 0.02], 3)
+    onboard_parts = (onboard - STATE)[:, [3, 4, 5, 9, 10, 11]] / deviations[3:]
+    parts = (state - STATE)[:, NOISY_ENTRIES] / deviations
+    for values in (parts, onboard_parts):
+        count = len(values)
+        assert np.all(np.abs(values.mean(axis=0)) < 4.0 / math.sqrt(count))
+        assert np.all(np.abs(values.var(axis=0) - 1.0) < 4.0 * math.sqrt(2.0 / count))
+        # A sample is not like the one before it.
+        across = values[1:].T @ values[:-1] / (count - 1)
+        assert np.abs(across).max() < 5.0 / math.sqrt(count)
+    # The logs at the same times: what has a noise of its own shares nothing with the others.
+    both = np.column_stack(
+        [parts, onboard_parts[:: round(PERIOD / ONBOARD_PERIOD)][: len(parts)]]
+    )
+    other = np.corrcoef(both.T) - np.eye(both.shape[1])
+    assert np.abs(other).max() < 5.0 / math.sqrt(len(both))
+
+
+def test_same_seed_repeats_exactly_and_another_does_not():
+    first, again, other = (noisy_setup(SensorParameters(), seed) for seed in (1, 1, 2))
+    for one, same, different in zip(first, again, other, strict=True):
+        np.testing.assert_array_equal(one, same)
+        # No value is by chance what it was, once the first sample has arrived.
+        assert np.all(one[20:] != different[20:])
+
+
+def test_seed_does_not_care_what_was_before():
+    fresh = noisy_setup(SensorParameters(), 1)
+    setup = Setup(SensorParameters(), ConstantVectorSource(STATE))
+    setup.noise(7)
+    setup.simulator.get_mutable_context().SetTimeStateAndParametersFrom(
+        setup.simulator.get_system().CreateDefaultContext()
+    )
+    setup.capture.SetVectorState(setup.own, STATE)
+    for log in ("state", "onboard_state"):
+        setup.logs[log].FindMutableLog(setup.context).Clear()
+    setup.simulator.Initialize()
+    for one, same in zip(fresh, setup.noise(1), strict=True):
+        np.testing.assert_array_equal(one, same)
+
+
+def test_random_context_draws_anew():
+    found = []
+    generator = RandomGenerator(3)
+    for source in (generator, generator, RandomGenerator(3)):
+        setup = Setup(SensorParameters(), ConstantVectorSource(STATE))
+        setup.simulator.get_system().SetRandomContext(setup.context, source)
+        setup.capture.SetVectorState(setup.own, STATE)
+        found.append(setup.noise())
+    for first, second, repeated in zip(*found, strict=True):
+        assert np.all(first[20:] != second[20:])
+        np.testing.assert_array_equal(first, repeated)
+
+
+@pytest.mark.parametrize(
+    ("zero", "sources"),
+    [
+        ([], 5),
+        (["position_noise"], 4),
+        (["attitude_noise"], 3),
+        (["position_noise", "attitude_noise", "rate_noise"], 0),
+    ],
+)
+def test_noise_of_zero_adds_no_random_systems(zero, sources):
+    capture = MotionCapture(SensorParameters(**dict.fromkeys(zero, 0.0)))
+    found = [system for system in capture.GetSystems() if isinstance(system, RandomSource)]
+    assert len(found) == sources
+
+
+@pytest.mark.parametrize("parameters", [SensorParameters(), NOISELESS])
+def test_motion_capture_converts_with_its_state(parameters):
+    capture = MotionCapture(parameters)
+    context = capture.CreateDefaultContext()
+    capture.SetVectorState(context, STATE)
+    converted = capture.ToAutoDiffXd()
+    converted_context = converted.CreateDefaultContext()
+    converted_context.SetTimeStateAndParametersFrom(context)
+    for name in ("state", "onboard_state"):
+        values = converted.GetOutputPort(name).Eval(converted_context)
+        np.testing.assert_allclose([v.value() for v in values], STATE, atol=1e-15)
+
+
+def test_nothing_is_a_direct_feed_through():
+    for parameters in (SensorParameters(), replace(NOISELESS, delay=0.0)):
+        assert not MotionCapture(parameters).HasAnyDirectFeedthrough()
+
+
+@pytest.mark.parametrize("bad", [-0.01, math.nan, math.inf])
+@pytest.mark.parametrize("name", SensorParameters.__dataclass_fields__)
+def test_value_that_cannot_be_is_named(name, bad):
+    with pytest.raises(ConfigurationError, match=rf"^{name} .*{bad}"):
+        SensorParameters(**{name: bad})
+
+
+@pytest.mark.parametrize("name", ["sample_period", "onboard_period", "bandwidth"])
+def test_what_must_be_positive_cannot_be_zero(name):
+    with pytest.raises(ConfigurationError, match=rf"^{name} .*0\.0"):
+        SensorParameters(**{name: 0.0})
+
+
+@pytest.mark.parametrize("delay", [0.005, 0.015, 0.0101])
+def test_delay_must_be_a_multiple_of_the_period(delay):
+    with pytest.raises(ConfigurationError, match=rf"^delay .*multiple.*0\.01 s, got {delay}"):
+        SensorParameters(delay=delay)
+
+
+@pytest.mark.parametrize(("delay", "steps"), [(0.0, 0), (0.01, 1), (0.03, 3), (0.07, 7)])
+def test_delay_in_samples(delay, steps):
+    assert SensorParameters(delay=delay).delay_steps == steps
+
+
+@pytest.mark.parametrize(("period", "kind"), [(0.02, ZeroOrderHold), (0.0, PassThrough)])
+def test_ideal_motion_capture_samples_or_passes(period, kind):
+    motion = smooth_motion()
+    builder = DiagramBuilder()
+    source = builder.AddSystem(TrajectorySource(motion))
+    capture = AddMotionCapture(builder, source.get_output_port(), period, "camera")
+    assert isinstance(capture, kind)
+    assert capture.get_name() == "camera"
+    simulator = Simulator(builder.Build())
+    simulator.AdvanceTo(0.05)
+    own = capture.GetMyContextFromRoot(simulator.get_context())
+    np.testing.assert_allclose(
+        capture.get_output_port().Eval(own),
+        motion.value(0.04 if period else 0.05)[:, 0],
+        atol=1e-14,
+    )
