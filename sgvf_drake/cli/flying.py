@@ -62,6 +62,7 @@ def fly(
     )
     from systems import SensorParameters
 
+    pieces = None if tour is None else _pieces_of(tour)
     # Drake tells on its own where every Meshcat listens.
     logging.getLogger("drake").setLevel(logging.WARNING)
     loaded = open_field(field)
@@ -81,11 +82,11 @@ def fly(
     metric, chosen = loaded.rescaled(scale), (scale_reference(path, scale), kind)
     with progress() as report:
         options["progress"] = report
-        if tour is None:
+        if pieces is None:
             summary = run_fly(metric, chosen, out, **options)
         else:
-            summary = run_tour(metric, chosen, out, _pieces_of(tour), **options)
-    if tour is None:
+            summary = run_tour(metric, chosen, out, pieces, **options)
+    if pieces is None:
         print_flight(summary)
     else:
         print_tour(summary)

@@ -24,6 +24,8 @@ from sgvf_drake.experiments.flight_log import (
     start_hover,
 )
 from sgvf_drake.experiments.fly import (
+    REST_S,
+    START_OFFSET,
     TAKE_OFF_S,
     WAY_IN,
     check_flight,
@@ -33,7 +35,7 @@ from sgvf_drake.experiments.fly import (
 from sgvf_drake.experiments.scene import FlightScene
 from sgvf_drake.experiments.simulation import read_log
 from sgvf_drake.fields import GuidingField
-from sgvf_drake.metrics import REACH_DISTANCE
+from sgvf_drake.metrics import REACH_DISTANCE, REST_WINDOW
 from sgvf_drake.paths import Reference
 from sgvf_drake.progress import Progress, no_progress
 from systems import (
@@ -46,12 +48,16 @@ from systems import (
     QuadrotorParameters,
     SensorParameters,
 )
+from systems.branch_supervisor import ACCELERATION_SHARE
+from systems.supervisor_memory import Memory
 
 # The flight is looked at so often, to see whether the tour is done, s.
 CHUNK = 0.1
 # Time for a transfer: up to a lap until the place of departure, and so many times the way
-# between the pieces at the commanded speed.
+# between the pieces.
 TRANSFER_WAYS = 6.0
+# And that many times all of it, since speed rises slowly: at the take-off and after turns.
+SLACK = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +143,10 @@ def fly_tour(
     stops = [_stop(pieces, piece) for piece in tour]
     if not stops:
         raise ConfigurationError("a tour needs at least one piece")
-    supervisor = BranchSupervisor(field, branches, stops, laps, parameters, box=field.cloud.box)
+    # The last piece twice: the supervisor then tells when its leg is flown too.
+    supervisor: Any = BranchSupervisor(
+        field, branches, [*stops, stops[-1]], laps, parameters, box=field.cloud.box
+    )
     diagram: Any = MakeFlightDiagram(
         field,
         parameters,
@@ -155,13 +164,14 @@ def fly_tour(
     unit = field.cloud.unit_length
     start = hover_start(reference, tour[0], unit, altitude, field.ends)
     start_hover(diagram, context, start, seed)
-    last_leg = _leg_time(branches[stops[-1]], laps, speed)
-    limit = _time_limit([branches[stop] for stop in stops], laps, speed, unit)
     feasibility = check_feasibility(field, reference, speed, parameters)
+    flown = [branches[stop] for stop in stops]
+    limit = _time_limit(flown, laps, _slowest(speed, feasibility), unit)
+    rest = 0.0 if flown[-1].closed else (START_OFFSET + REST_WINDOW) * unit / speed + REST_S
     begin = time.perf_counter()
     shown = nullcontext() if scene is None else scene.show(simulator, "tour")
     with lost_control_named(tour[0], speed, feasibility), shown:
-        completed = _advance(simulator, len(stops), last_leg, limit, progress)
+        completed = _advance(simulator, len(stops), rest, limit, progress)
     wall_s = time.perf_counter() - begin
     log = _tour_log(diagram, context, field, reference, pieces)
     legs, transfers = _legs_and_transfers(log, unit, parameters)
@@ -200,41 +210,47 @@ def _stop(pieces: Sequence[int], piece: int) -> int:
     return pieces.index(piece)
 
 
-def _leg_time(branch: Branch, laps: float, speed: float) -> float:
-    return (laps if branch.closed else 1.0) * branch.length / speed
+def _slowest(speed: float, feasibility: Feasibility) -> float:
+    """Returns the least speed to which the supervisor lowers one, m/s."""
+    trusted = ACCELERATION_SHARE * feasibility.limit
+    return speed * float(np.sqrt(trusted / max(trusted, feasibility.demand)))
 
 
 def _time_limit(
     branches: Sequence[Branch], laps: float, speed: float, unit_length: float
 ) -> float:
     """Returns a time by which a tour is over, s."""
-    limit = TAKE_OFF_S + WAY_IN * unit_length / speed
-    limit += sum(_leg_time(branch, laps, speed) for branch in branches)
+    way = WAY_IN * unit_length
+    for branch in branches:
+        way += (laps if branch.closed else 1.0) * branch.length
     for here, there in pairwise(branches):
-        way = float(np.linalg.norm(here.points[:, None] - there.points[None], axis=2).max())
-        limit += here.length / speed + TRANSFER_WAYS * way / speed
-    return limit
+        apart = float(np.linalg.norm(here.points[:, None] - there.points[None], axis=2).max())
+        way += here.length + TRANSFER_WAYS * apart
+    return TAKE_OFF_S + SLACK * way / speed
 
 
 def _advance(
-    simulator: Simulator, num_legs: int, last_leg: float, limit: float, progress: Progress
+    simulator: Simulator, num_legs: int, rest: float, limit: float, progress: Progress
 ) -> bool:
-    """Advances until the last leg has been followed for its time; returns whether it was."""
+    """Advances until all legs of a tour are flown; returns whether they were.
+
+    Args:
+        simulator: Of the flight.
+        num_legs: Of the tour, before the supervisor's last stop.
+        rest: Time after them, in which to come to the end of an open piece, s.
+        limit: The time after which legs are no longer waited for, s.
+        progress: Told how far it is.
+    """
     diagram: Any = simulator.get_system()
     supervisor = diagram.GetSubsystemByName("supervisor")
     own = supervisor.GetMyContextFromRoot(simulator.get_context())
-    mode, branch = (supervisor.GetOutputPort(name) for name in ("mode", "branch"))
-    legs, last, followed_since = 1, branch.Eval(own)[0], None
     for chunk in range(1, int(np.ceil(limit / CHUNK)) + 1):
-        now = chunk * CHUNK
-        simulator.AdvanceTo(now)
-        progress("fly", now, limit)
-        if branch.Eval(own)[0] != last:
-            legs, last = legs + 1, branch.Eval(own)[0]
-        if legs == num_legs and mode.Eval(own)[0] == Mode.FOLLOW:
-            followed_since = now if followed_since is None else followed_since
-            if now >= followed_since + last_leg:
-                return True
+        simulator.AdvanceTo(chunk * CHUNK)
+        progress("fly", chunk * CHUNK, limit)
+        memory = Memory.FromVector(own.get_discrete_state(0).CopyToVector())
+        if memory.stop == num_legs:
+            simulator.AdvanceTo(chunk * CHUNK + rest)
+            return True
     return False
 
 

@@ -33,8 +33,9 @@ def tube_curves(
     summary = _read(Path(verified) / SUMMARY)
     try:
         known = (summary["digest"], summary["recipe"], summary["seed"])
-        c_in, sigma_in_U = summary["c_in"], summary["sigma"] / summary["unit_length"]
-    except (KeyError, TypeError):
+        c_in = None if summary["c_in"] is None else float(summary["c_in"])
+        sigma_in_U = summary["sigma"] / summary["unit_length"]
+    except (KeyError, TypeError, ValueError, ZeroDivisionError):
         raise ConfigurationError(f"{verified} holds no results of a verification") from None
     metric = field.rescaled(scale)
     if known not in [(f.cloud.digest, f.recipe, f.seed) for f in (field, metric)]:

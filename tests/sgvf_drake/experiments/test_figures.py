@@ -4,7 +4,7 @@ from matplotlib.image import imread
 import numpy as np
 import pytest
 
-from sgvf_drake.experiments import FollowResult, figures
+from sgvf_drake.experiments import FollowResult, figures, fly_tour
 
 
 def check_picture(path):
@@ -36,6 +36,25 @@ def test_follow_figure(tmp_path, flight_field, followed):
 def test_flight_figure(tmp_path, flight_field, flown):
     flight = flown.fast.flights[0]
     figure = figures.flight_figure(flight_field, flight_field.cloud, flight, flown.fast)
+    figure.savefig(tmp_path / "a.png")
+    check_picture(tmp_path / "a.png")
+
+
+def test_tour_figure(tmp_path, flight_field, rings):
+    tour = fly_tour(flight_field, rings, (0, 1), speed=2.0)
+    figure = figures.tour_figure(flight_field, flight_field.cloud, tour)
+    plane, error, velocity, forces = figure.axes
+    assert "pieces 1, 2" in plane.get_title()
+    (transfer,) = tour.transfers
+    # The transfer is drawn, and shaded over time.
+    away = plane.get_lines()[-2].get_ydata()
+    assert 0 < np.isfinite(away).sum() < len(tour.log)
+    for timeline in (error, velocity, forces):
+        (shade,) = timeline.collections
+        begin, end = shade.get_datalim(timeline.transData).intervalx
+        np.testing.assert_allclose(
+            [begin, end], [transfer["begin_s"], transfer["end_s"]], atol=1e-6
+        )
     figure.savefig(tmp_path / "a.png")
     check_picture(tmp_path / "a.png")
 
