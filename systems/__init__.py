@@ -11,7 +11,7 @@ from systems.faults import Dropout, Dropout_
 from systems.flight_trail import AddFlightTrail, FlightTrail
 from systems.guidance import FieldForSpeed, GuidanceSystem, GuidanceSystem_
 from systems.guidance_loop import AddGuidance, GuidanceParts
-from systems.initial_state import SetHover, SetVehicleState
+from systems.initial_state import SetHover, SetNoiseSeed, SetVehicleState
 from systems.kinematic import (
     KinematicGuidance,
     KinematicGuidance_,
@@ -31,7 +31,7 @@ from systems.se3_law import Body, Gains
 from systems.sensing import AddMotionCapture, MotionCapture, SensorParameters
 from systems.state_estimator import StateEstimator, StateEstimator_
 from systems.stop_on_exit import ExitWatch, StopOnExit, SublevelExit
-from systems.supervisor_memory import Mode
+from systems.supervisor_memory import HOLD_POSITION, ON_TOUR, Mode
 from systems.visualization import (
     AddFlightVisualization,
     FlightVisualization,
@@ -42,6 +42,8 @@ from systems.visualization import (
 
 __all__ = [
     "DEFAULT_GAINS",
+    "HOLD_POSITION",
+    "ON_TOUR",
     "AddFlightTrail",
     "AddFlightVisualization",
     "AddGuidance",
@@ -84,6 +86,7 @@ __all__ = [
     "Se3Controller_",
     "SensorParameters",
     "SetHover",
+    "SetNoiseSeed",
     "SetPositions",
     "SetVehicleState",
     "SetView",

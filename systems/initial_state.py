@@ -9,6 +9,7 @@ from pydrake.systems.primitives import PassThrough
 
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
 from systems.quadrotor import STATE_SIZE
+from systems.sensing import MotionCapture
 
 
 def SetHover(diagram: Diagram, context: Context, position: ArrayLike) -> None:
@@ -51,3 +52,18 @@ def SetVehicleState(diagram: Diagram, context: Context, state: ArrayLike) -> Non
     capture: Any = diagram.GetSubsystemByName("motion_capture")
     if not isinstance(capture, PassThrough):
         capture.SetVectorState(capture.GetMyMutableContextFromRoot(context), values)
+
+
+def SetNoiseSeed(diagram: Diagram, context: Context, seed: int) -> None:
+    """Sets the seed of a flight's measurements, so that it repeats exactly.
+
+    Measurements without noise need none, and take none.
+
+    Args:
+        diagram: From `MakeFlightDiagram`, or any with a system "motion_capture".
+        context: Of the diagram.
+        seed: Not negative.
+    """
+    capture: Any = diagram.GetSubsystemByName("motion_capture")
+    if isinstance(capture, MotionCapture):
+        capture.SetNoiseSeed(capture.GetMyMutableContextFromRoot(context), seed)

@@ -10,6 +10,7 @@ from sgvf_drake.experiments.figures import (
     tracking_figure,
     verification_figure,
 )
+from sgvf_drake.experiments.flight_log import flight_log
 from sgvf_drake.experiments.fly import FlightResult, fly
 from sgvf_drake.experiments.follow import FollowResult, follow
 from sgvf_drake.experiments.importing import run_import
@@ -32,6 +33,7 @@ __all__ = [
     "check_theorem",
     "choose_path",
     "choose_reference",
+    "flight_log",
     "flight_tracking",
     "fly",
     "fly_tour",

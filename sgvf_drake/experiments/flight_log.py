@@ -1,7 +1,6 @@
 """A flight simulated from a hover, and its logs as one table."""
 
 from contextlib import nullcontext
-from typing import Any
 
 import pandas as pd
 from pydrake.systems.framework import Context, Diagram
@@ -10,7 +9,7 @@ from sgvf_drake.experiments.scene import FlightScene
 from sgvf_drake.experiments.simulation import advance, read_log
 from sgvf_drake.fields import FloatArray
 from sgvf_drake.progress import Progress, no_progress
-from systems import MakeSimulator, MotionCapture, SetHover
+from systems import MakeSimulator, SetHover, SetNoiseSeed
 
 LOG_PERIOD = 0.01
 STATE_COLUMNS = (
@@ -43,18 +42,11 @@ def simulate(
     """
     simulator = MakeSimulator(diagram)
     context = simulator.get_mutable_context()
-    start_hover(diagram, context, start, seed)
+    SetHover(diagram, context, start)
+    SetNoiseSeed(diagram, context, seed)
     with nullcontext() if scene is None else scene.show(simulator, name):
         wall_s = advance(simulator, duration, LOG_PERIOD, "fly", progress)
     return flight_log(diagram, context), wall_s
-
-
-def start_hover(diagram: Any, context: Context, start: FloatArray, seed: int) -> None:
-    """Sets a flight to hover at p_WB (3,) in m, and the seed of its measurements."""
-    SetHover(diagram, context, start)
-    capture = diagram.GetSubsystemByName("motion_capture")
-    if isinstance(capture, MotionCapture):
-        capture.SetNoiseSeed(capture.GetMyMutableContextFromRoot(context), seed)
 
 
 def flight_log(diagram: Diagram, context: Context) -> pd.DataFrame:

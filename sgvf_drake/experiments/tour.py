@@ -21,7 +21,6 @@ from sgvf_drake.experiments.flight_log import (
     FORCE_COLUMNS,
     LOG_PERIOD,
     flight_log,
-    start_hover,
 )
 from sgvf_drake.experiments.fly import (
     REST_S,
@@ -47,6 +46,8 @@ from systems import (
     Mode,
     QuadrotorParameters,
     SensorParameters,
+    SetHover,
+    SetNoiseSeed,
 )
 from systems.branch_supervisor import ACCELERATION_SHARE
 from systems.supervisor_memory import Memory
@@ -163,7 +164,8 @@ def fly_tour(
     context = simulator.get_mutable_context()
     unit = field.cloud.unit_length
     start = hover_start(reference, tour[0], unit, altitude, field.ends)
-    start_hover(diagram, context, start, seed)
+    SetHover(diagram, context, start)
+    SetNoiseSeed(diagram, context, seed)
     feasibility = check_feasibility(field, reference, speed, parameters)
     flown = [branches[stop] for stop in stops]
     limit = _time_limit(flown, laps, _slowest(speed, feasibility), unit)

@@ -48,7 +48,7 @@ class ScoreNetwork:
         return output / self.scale, jacobian / self.scale
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class GuidingField(AnalyticField):
     """The score-induced guiding vector field m = s + v of a cloud of waypoints.
 
@@ -109,6 +109,9 @@ class GuidingField(AnalyticField):
         from sgvf_drake.fields.modules import field_from_modules
 
         return field_from_modules(score, tangent, cloud, gain=gain, normalise=normalise)
+
+    def __repr__(self) -> str:
+        return f"GuidingField({self.recipe}, seed {self.seed}, {self.cloud!r})"
 
     @property
     def mixture(self) -> GaussianMixture:

@@ -18,7 +18,9 @@ from systems import (
     MakeSimulator,
     QuadrotorParameters,
     Se3Controller,
+    SensorParameters,
     SetHover,
+    SetNoiseSeed,
     SetVehicleState,
 )
 
@@ -215,3 +217,27 @@ def test_bad_start_is_refused(circle_field):
         SetVehicleState(diagram, context, np.zeros(11))
     with pytest.raises(NonFiniteValueError, match="finite"):
         SetHover(diagram, context, (1.0, math.nan, 0.0))
+
+
+def test_noise_seed_of_a_flight_repeats_it(circle_field):
+    diagram = MakeFlightDiagram(circle_field, sensors=SensorParameters())
+
+    def end_of_flight(seed):
+        simulator = MakeSimulator(diagram)
+        context = simulator.get_mutable_context()
+        SetHover(diagram, context, START)
+        SetNoiseSeed(diagram, context, seed)
+        simulator.AdvanceTo(0.5)
+        return context.get_continuous_state_vector().CopyToVector()
+
+    np.testing.assert_array_equal(end_of_flight(3), end_of_flight(3))
+    assert np.abs(end_of_flight(3) - end_of_flight(4)).max() > 1e-5
+
+
+def test_noise_seed_means_nothing_without_noise(circle_field):
+    diagram = MakeFlightDiagram(circle_field)
+    context = diagram.CreateDefaultContext()
+    SetHover(diagram, context, START)
+    before = context.get_discrete_state_vector().CopyToVector()
+    SetNoiseSeed(diagram, context, 3)
+    np.testing.assert_array_equal(context.get_discrete_state_vector().CopyToVector(), before)
