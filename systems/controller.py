@@ -21,7 +21,7 @@ from systems.scalars import (
     ToList,
     ToVector,
 )
-from systems.se3_law import Body, CalcAttitude, CalcThrustAndTorque, Gains
+from systems.se3_law import Body, CalcAttitude, CalcThrustAndTorque, Gains, Vector3
 
 DEFAULT_GAINS = Gains(
     velocity_gain=3.0, attitude_bandwidth=12.0, damping_ratio=0.7, heading=0.0
@@ -75,7 +75,7 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
         Raises:
             ConfigurationError: if a gain, the mass or the inertia cannot be used; on
                 evaluation too, where they were set in the Context itself.
-            NonFiniteValueError: on evaluation, where an input is not finite.
+            NonFiniteValueError: on evaluation, where an input or a force is not finite.
         """
 
         def _construct(
@@ -162,9 +162,11 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
                 # would cost more than the law.
                 if not math.isfinite(forces[0]):
                     self._CheckInputs(context)
+                    self._CheckForces(context, forces)
             else:
                 self._CheckInputs(context)
                 forces = np.array(_CalcForces(*arguments))
+                self._CheckForces(context, forces)
             output.SetFromVector(forces)
 
         def _CalcAcceleration(self, context: Any, output: Any) -> None:
@@ -175,6 +177,10 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
             lift = thrust / self._parameters.mass
             x, y, z = R_WB[2]
             output.SetFromVector([lift * x, lift * y, lift * z - self._parameters.gravity])
+
+        def _CheckForces(self, context: Any, forces: np.ndarray) -> None:
+            # The law has no direction for a thrust vector of zero, and overflows far away.
+            CheckFinite(self, context, "the propeller force", ToList(forces))
 
         def _CheckInputs(self, context: Any) -> None:
             for port in (self._state, self._velocity_command, self._acceleration_feedforward):
@@ -204,7 +210,7 @@ def _CheckBody(body: Body) -> None:
 
 
 @compilable
-def _CalcForces(
+def _CalcDemand(
     state: Any,
     velocity_command: Any,
     acceleration: Any,
@@ -213,9 +219,9 @@ def _CalcForces(
     rotors: Rotors,
     gravity: float,
     saturate: bool,
-) -> tuple[Scalar, Scalar, Scalar, Scalar]:
-    """The law from arrays to the input of QuadrotorPlant."""
-    thrust, torque = CalcThrustAndTorque(
+) -> tuple[Scalar, Vector3]:
+    """The law from arrays to thrust and torque."""
+    return CalcThrustAndTorque(
         Body(body[0], body[1], body[2], body[3]),
         Gains(gains[0], gains[1], gains[2], gains[3]),
         (state[3], state[4], state[5]),
@@ -227,9 +233,23 @@ def _CalcForces(
         NUM_PROPELLERS * rotors.max_force,
         saturate,
     )
+
+
+@compilable
+def _CalcInput(
+    thrust: Scalar, torque: Vector3, rotors: Rotors, saturate: bool
+) -> tuple[Scalar, Scalar, Scalar, Scalar]:
+    """From thrust and torque to the input of QuadrotorPlant."""
     a, b, c, d = CalcPropellerForces(rotors, thrust, torque, saturate)
     k = rotors.force_constant
     return a / k, b / k, c / k, d / k
+
+
+def _CalcForces(*arguments: Any) -> tuple[Scalar, Scalar, Scalar, Scalar]:
+    """The law in the interpreter."""
+    thrust, torque = _CalcDemand(*arguments)
+    *_, rotors, _, saturate = arguments
+    return _CalcInput(thrust, torque, rotors, saturate)
 
 
 def _MakeCompiled(sources: int) -> Any:
@@ -245,8 +265,13 @@ def _MakeCompiled(sources: int) -> Any:
         saturate: bool,
     ) -> np.ndarray:
         sources  # noqa: B018 (enclosed to be in the key of the cache; see `digest`)
+        thrust, torque = _CalcDemand(
+            state, velocity_command, acceleration, gains, body, rotors, gravity, saturate
+        )
+        # Limits would hide a NaN: the least of a number and a NaN may be the number.
         usable = (
-            np.isfinite(state).all()
+            np.isfinite(thrust + torque[0] + torque[1] + torque[2])
+            and np.isfinite(state).all()
             and np.isfinite(velocity_command).all()
             and np.isfinite(acceleration).all()
             and np.isfinite(gains).all()
@@ -256,18 +281,7 @@ def _MakeCompiled(sources: int) -> Any:
         )
         if not usable:
             return np.full(NUM_PROPELLERS, np.nan)
-        return np.array(
-            _CalcForces(
-                state,
-                velocity_command,
-                acceleration,
-                gains,
-                body,
-                rotors,
-                gravity,
-                saturate,
-            )
-        )
+        return np.array(_CalcInput(thrust, torque, rotors, saturate))
 
     return calc_forces
 

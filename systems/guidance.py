@@ -205,7 +205,8 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
         def SetSpeed(self, context: Any, speed: Scalar) -> None:
             """Sets the speed in m/s, and the approach length that goes with it.
 
-            This system's own Context is wanted.
+            This system's own Context is wanted.  A derivative by the speed is the one at
+            this approach length, which has none.
             """
             CheckSpeed(speed)
             parameters = context.get_mutable_numeric_parameter(self.parameter_index)

@@ -4,8 +4,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydrake.autodiffutils import AutoDiffXd
 from pydrake.systems.framework import Context, Diagram
-from pydrake.systems.primitives import PassThrough
+from pydrake.systems.primitives import PassThrough, PassThrough_
 
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
 from systems.quadrotor import STATE_SIZE
@@ -39,7 +40,8 @@ def SetVehicleState(diagram: Diagram, context: Context, state: ArrayLike) -> Non
         state: Of shape (12,), as QuadrotorPlant's.
 
     Raises:
-        ConfigurationError: if the shape is wrong.
+        ConfigurationError: if the shape is wrong, or the diagram is a converted or cloned one
+            with sensors.
         NonFiniteValueError: if the state is not finite.
     """
     values: Any = np.asarray(state, dtype=np.float64)
@@ -50,8 +52,14 @@ def SetVehicleState(diagram: Diagram, context: Context, state: ArrayLike) -> Non
     plant = diagram.GetSubsystemByName("plant")
     plant.GetMyMutableContextFromRoot(context).SetContinuousState(values)
     capture: Any = diagram.GetSubsystemByName("motion_capture")
-    if not isinstance(capture, PassThrough):
-        capture.SetVectorState(capture.GetMyMutableContextFromRoot(context), values)
+    if isinstance(capture, (PassThrough, PassThrough_[AutoDiffXd])):
+        return
+    if not hasattr(capture, "SetVectorState"):
+        raise ConfigurationError(
+            "converted or cloned sensors have no start to set: set it in a Context of the "
+            "diagram that was built, and take it over by SetTimeStateAndParametersFrom"
+        )
+    capture.SetVectorState(capture.GetMyMutableContextFromRoot(context), values)
 
 
 def SetNoiseSeed(diagram: Diagram, context: Context, seed: int) -> None:

@@ -25,6 +25,10 @@ DEFAULT_SAMPLE_PERIOD = 0.01
 """s; the motion capture of the paper's flights records at 100 Hz."""
 
 
+TIME_TOLERANCE = 1e-6
+"""Of a period; a time that is so close to that of a sample differs from it by rounding."""
+
+
 @dataclass(frozen=True)
 class SensorParameters:
     """How well a vehicle is measured, in SI units.
@@ -152,9 +156,12 @@ class MotionCapture(Diagram):
         )
         if self._delay is not None:
             own: Any = self.GetMutableSubsystemContext(self._delay, context)
+            period, time = self._parameters.sample_period, context.get_time()
+            # A sample that is due now is still to come.
+            to_sample = period * math.ceil(time / period - TIME_TOLERANCE) - time
             steps = np.arange(self._parameters.delay_steps, 0, -1)  # The oldest comes first.
-            passed = np.outer(steps * self._parameters.sample_period, state[6:9])
-            own.SetDiscreteState((state[:3] - passed).ravel())
+            positions = state[:3] + np.outer(to_sample - steps * period, state[6:9])
+            own.SetDiscreteState(positions.ravel())
 
     def SetNoiseSeed(self, context: Context, seed: int) -> None:
         """Sets the seed of the noise, so that a flight repeats exactly.

@@ -24,9 +24,11 @@ positions good to 1 mm at 100 Hz the velocity is then good to 1 cm/s."""
 
 # The discrete state: position and velocity at the time of which the last sample tells, the last
 # acceleration, the age of the sample without the known delay, the time of the last update (it
-# is not a period ago where an estimate was set in between), and whether it has started.
+# is not a period ago where an estimate was set in between), and the phase.
 _POSITION, _VELOCITY, _ACCELERATION = slice(0, 3), slice(3, 6), slice(6, 9)
-_AGE, _TIME, _STARTED, _STATE_SIZE = 9, 10, 11, 12
+_AGE, _TIME, _PHASE, _STATE_SIZE = 9, 10, 11, 12
+# The phases: before the first update, before the first sample, and with an estimate.
+_NEW, _WAITING, _STARTED = 0.0, 1.0, 2.0
 
 
 @TemplateSystem.define("StateEstimator_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
@@ -143,7 +145,7 @@ def StateEstimator_(T: type) -> Any:  # noqa: D103 (the class below says it)
             """
             position, velocity = np.asarray(position), np.asarray(velocity)
             then = position - velocity * self.GetDelay(context)
-            state = [*then, *velocity, *np.zeros(3), 0.0, context.get_time(), 1.0]
+            state = [*then, *velocity, *np.zeros(3), 0.0, context.get_time(), _STARTED]
             context.SetDiscreteState(self._state_index, ToVector(T, state))
 
         def _Update(self, context: Any, values: Any) -> None:
@@ -154,31 +156,32 @@ def StateEstimator_(T: type) -> Any:  # noqa: D103 (the class below says it)
             if self._acceleration.HasValue(context):
                 acceleration = self._acceleration.Eval(context)
                 CheckFinite(self, context, self._acceleration, ToList(acceleration))
-            now, started = context.get_time(), state[_STARTED]
-            elapsed = now - state[_TIME]
+            now, phase = context.get_time(), ToFloat(state[_PHASE])
+            elapsed = T(0.0) if phase == _NEW else now - state[_TIME]
+            phase = max(phase, _WAITING)
             age = state[_AGE] + elapsed
             position = position + elapsed * (velocity + 0.5 * elapsed * acceleration)
             velocity = velocity + elapsed * acceleration
-            if self._IsSample(context, measured, started):
+            if self._IsSample(context, measured, phase, age):
                 age = T(0.0)
-                if ToFloat(started) == 0.0:
-                    position, velocity, started = measured, np.zeros(3), T(1.0)
+                if phase == _WAITING:
+                    position, velocity, phase = measured, np.zeros(3), _STARTED
                 pole = np.exp(-self.GetBandwidth(context) * self._period)
                 innovation = measured - position
                 position = position + (1.0 - pole * pole) * innovation
                 velocity = velocity + (1.0 - pole) ** 2 / self._period * innovation
             vector = values.get_mutable_vector(self._state_index)
             vector.SetFromVector(
-                ToVector(T, [*position, *velocity, *acceleration, age, now, started])
+                ToVector(T, [*position, *velocity, *acceleration, age, now, phase])
             )
 
-        def _IsSample(self, context: Any, measured: Any, started: Scalar) -> bool:
+        def _IsSample(self, context: Any, measured: Any, phase: float, age: Scalar) -> bool:
             if not all(map(math.isfinite, ToList(measured))):
                 return False
             # What arrives before the delay has passed was measured before there was a vehicle:
             # it is what a delay holds by default, and nothing to start from.
             earliest = ToFloat(self.GetDelay(context)) - 0.5 * self._period
-            return ToFloat(started) != 0.0 or ToFloat(context.get_time()) >= earliest
+            return phase == _STARTED or ToFloat(age) >= earliest
 
         def _State(self, context: Any) -> Any:
             return context.get_discrete_state(self._state_index).CopyToVector()

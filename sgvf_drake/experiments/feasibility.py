@@ -51,8 +51,13 @@ def check_feasibility(
 
 
 @contextmanager
-def lost_control_named(piece: int, speed: float, feasibility: Feasibility) -> Iterator[None]:
+def lost_control_named(where: str, speed: float, feasibility: Feasibility) -> Iterator[None]:
     """Makes one clear error of a flight inside that loses control of the vehicle.
+
+    Args:
+        where: What was flown, for the message: "piece 1".
+        speed: The commanded speed, m/s.
+        feasibility: That of the flight.
 
     Raises:
         ConfigurationError: in place of what Drake's plant raises then.
@@ -64,7 +69,7 @@ def lost_control_named(piece: int, speed: float, feasibility: Feasibility) -> It
         if feasibility.is_feasible and "gimbal-lock" not in str(error):
             raise
         raise ConfigurationError(
-            f"the quadrotor lost control on piece {piece + 1} at {speed:g} m/s, where "
+            f"the quadrotor lost control on {where} at {speed:g} m/s, where "
             f"the path demands {feasibility.demand:.1f} m/s^2 and the thrust allows "
             f"{feasibility.limit:.1f} m/s^2; choose a lower speed"
         ) from error

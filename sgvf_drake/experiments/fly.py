@@ -162,7 +162,7 @@ def fly(
         unit = field.cloud.unit_length
         start = hover_start(reference, piece, unit, altitude, field.ends)
         duration = flight_duration(reference, piece, unit, speed, laps)
-        with lost_control_named(piece, speed, feasibility):
+        with lost_control_named(f"piece {piece + 1}", speed, feasibility):
             log, wall_s = simulate(
                 diagram, start, duration, progress, scene, f"flight_{piece + 1}", seed
             )

@@ -30,7 +30,8 @@ def result_folder(
         out: The folder of the results; made, with its parents, if it is not there.
         names: The files and folders that will be written, so that a clash is found before
             the work and not after it.
-        overwrite: Whether files of these names may be replaced.
+        overwrite: Whether files of these names may be replaced; those that are not written
+            anew are removed.
 
     Raises:
         OutputExistsError: `out` holds one of them already and `overwrite` is false.
@@ -59,6 +60,10 @@ def result_folder(
         assert set(written) <= set(names), f"undeclared results {written}"
         out.mkdir(exist_ok=True)
         _move(temporary, out)
+        for stale in (out / name for name in set(names) - set(written)):
+            # Of an earlier run: it would stand beside results that it does not belong to.
+            if stale.is_file():
+                stale.unlink()
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
         # Innermost first; where there are results, the folders are not empty and stay.

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import Simulator
 
@@ -44,9 +45,11 @@ class FlightScene:
         Args:
             field: In metres.
             speed: Of the flight, m/s.
-            altitude: Of what is planar, m.
+            altitude: Of what is planar, m; a spatial field is cut in the middle of its path.
         """
         cloud = field.cloud
+        if field.dim == 3:
+            altitude = float(np.mean([bound[2] for bound in cloud.box]))
         SetView(self.meshcat, cloud.box, altitude)
         DrawWaypoints(self.meshcat, cloud.points, altitude)
         DrawField(self.meshcat, FieldForSpeed(field, speed), cloud.box, altitude)

@@ -172,7 +172,7 @@ def fly_tour(
     rest = 0.0 if flown[-1].closed else (START_OFFSET + REST_WINDOW) * unit / speed + REST_S
     begin = time.perf_counter()
     shown = nullcontext() if scene is None else scene.show(simulator, "tour")
-    with lost_control_named(tour[0], speed, feasibility), shown:
+    with lost_control_named("the tour", speed, feasibility), shown:
         completed = _advance(simulator, len(stops), rest, limit, progress)
     wall_s = time.perf_counter() - begin
     log = _tour_log(diagram, context, field, reference, pieces)

@@ -198,7 +198,7 @@ def flight_tracking(
     for piece in pieces:
         start = hover_start(reference, piece, unit, altitude, field.ends)
         duration = flight_duration(reference, piece, unit, speed, laps)
-        with lost_control_named(piece, speed, feasibility):
+        with lost_control_named(f"piece {piece + 1}", speed, feasibility):
             log, left = _simulate(diagram, start, duration, progress)
         log["tracking_error"] = _tracking_error(log, flown, speed)
         settled = np.logical_or.accumulate(log["V"].to_numpy() <= c_in)

@@ -47,6 +47,8 @@ def tube_curves(
 
 def level_curves(field: GuidingField, sigma: float, level: float) -> Sequence[FloatArray]:
     """Returns where V of noise level sigma has a level, as polylines (k, 2) in the box."""
+    if field.dim != 2:
+        raise ConfigurationError(f"a tube is drawn of planar fields, not in {field.dim}-D")
     lower, upper = field.cloud.box
     x, y = (np.linspace(a, b, CELLS + 1) for a, b in zip(lower, upper, strict=True))
     grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)

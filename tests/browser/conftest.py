@@ -172,7 +172,7 @@ class Page:
         ]
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def browser(tmp_path_factory):
     executable = shutil.which("chromium")
     if executable is None:
@@ -182,7 +182,7 @@ def browser(tmp_path_factory):
     browser.close()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def open_page(browser):
     """Opens an address in a tab of its own: (url) -> Page."""
     pages = []

@@ -194,3 +194,21 @@ def test_bad_box_is_refused(box):
 def test_bad_tour_is_refused(tour):
     with pytest.raises(ConfigurationError, match="tour must hold numbers of the 2 branches"):
         CheckTour(tour, 2)
+
+
+def test_a_loop_at_whose_end_the_field_rests_is_open():
+    field = Rotations((0.0, 0.0))
+    (loop,) = MakeBranches(field, UNIT)
+    field.ends = loop.points[-1:]
+    (branch,) = MakeBranches(field, UNIT)
+    assert loop.closed
+    assert not branch.closed
+    assert branch.length == pytest.approx(2 * np.pi, rel=0.03)
+    # In the direction of travel, to the end.
+    np.testing.assert_allclose(branch.points[-1], field.ends[0])
+
+
+def test_a_pair_of_stray_waypoints_is_no_branch():
+    points = np.concatenate([UNIT, [[3.0, 3.0], [3.01, 3.0]]])
+    (branch,) = MakeBranches(Rotations((0.0, 0.0)), points)
+    assert len(branch.points) == len(UNIT)

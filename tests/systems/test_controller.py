@@ -286,3 +286,18 @@ def test_input_that_is_not_finite_is_named(index, port):
     for system in (CONTROLLER, CONTROLLER.ToAutoDiffXd()):
         with pytest.raises(NonFiniteValueError, match=f"Se3Controller.*'{port}'.*t = 0 s"):
             evaluate(system, inputs)
+
+
+def test_velocity_beyond_all_numbers_is_no_force():
+    inputs = np.zeros(18)
+    inputs[6] = 1e160
+    with pytest.raises(NonFiniteValueError, match="the propeller force"):
+        evaluate(Se3Controller(saturate=False), inputs)
+
+
+def test_thrust_vector_of_zero_is_named():
+    inputs = np.zeros(18)
+    inputs[17] = -QuadrotorParameters().gravity
+    for system in (Se3Controller(saturate=False), Se3Controller(saturate=False).ToAutoDiffXd()):
+        with pytest.raises((NonFiniteValueError, ZeroDivisionError)):
+            evaluate(system, inputs)

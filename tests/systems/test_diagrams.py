@@ -241,3 +241,26 @@ def test_noise_seed_means_nothing_without_noise(circle_field):
     before = context.get_discrete_state_vector().CopyToVector()
     SetNoiseSeed(diagram, context, 3)
     np.testing.assert_array_equal(context.get_discrete_state_vector().CopyToVector(), before)
+
+
+def test_hover_of_the_continuous_loop_can_be_set_in_autodiff(circle_field):
+    loop = MakeFlightDiagram(circle_field, sample_period=0.0, saturate=False)
+    autodiff = loop.ToAutoDiffXd()
+    context = autodiff.CreateDefaultContext()
+    SetHover(autodiff, context, START)
+    state = [x.value() for x in context.get_continuous_state_vector().CopyToVector()]
+    np.testing.assert_array_equal(state, [*START, *np.zeros(9)])
+
+
+def test_start_of_cloned_sensors_is_refused_with_the_way_around(circle_field):
+    diagram = MakeFlightDiagram(circle_field, sensors=SensorParameters())
+    clone = diagram.Clone()
+    context = clone.CreateDefaultContext()
+    with pytest.raises(ConfigurationError, match="SetTimeStateAndParametersFrom"):
+        SetHover(clone, context, START)
+    original = diagram.CreateDefaultContext()
+    SetHover(diagram, original, START)
+    context.SetTimeStateAndParametersFrom(original)
+    np.testing.assert_array_equal(
+        clone.GetOutputPort("state").Eval(context), [*START, *np.zeros(9)]
+    )

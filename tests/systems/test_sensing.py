@@ -176,11 +176,31 @@ def test_start_of_a_moving_vehicle_makes_no_transient(delay):
         np.testing.assert_allclose(estimate[VELOCITY], STATE[VELOCITY], atol=1e-11)
 
 
+@pytest.mark.parametrize("share", [0.0, 0.2, 0.7])
 @pytest.mark.parametrize("delay", DELAYS)
-def test_start_that_was_not_set_is_the_first_measurement(delay):
+def test_state_that_is_set_between_samples_makes_no_transient(delay, share):
+    motion = polynomial_motion(STATE[POSITION], STATE[VELOCITY])
+    setup = Setup(replace(NOISELESS, delay=delay), TrajectorySource(motion))
+    time = (7 + share) * PERIOD  # 7 PERIOD / PERIOD is a little more than 7.
+    setup.simulator.AdvanceTo(time)
+    state = motion.value(time)[:, 0]
+    state[VELOCITY] = STATE[VELOCITY]
+    setup.capture.SetVectorState(setup.own, state)
+    for k in range(8, 20):
+        estimate = setup.after_sample(k)
+        np.testing.assert_allclose(
+            estimate[POSITION], motion.value(k * PERIOD)[POSITION, 0], atol=1e-12
+        )
+        np.testing.assert_allclose(estimate[VELOCITY], STATE[VELOCITY], atol=1e-11)
+
+
+@pytest.mark.parametrize("start", [0, 500])
+@pytest.mark.parametrize("delay", DELAYS)
+def test_start_that_was_not_set_is_the_first_measurement(delay, start):
     setup = Setup(replace(NOISELESS, delay=delay), ConstantVectorSource(STATE))
-    first = round(delay / PERIOD)
-    for k in range(first + 5):
+    setup.context.SetTime(start * PERIOD)
+    first = start + round(delay / PERIOD)
+    for k in range(start, first + 5):
         estimate = setup.after_sample(k)
         np.testing.assert_array_equal(
             estimate[POSITION], STATE[POSITION] if k >= first else np.zeros(3)

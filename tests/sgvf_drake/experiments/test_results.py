@@ -96,6 +96,16 @@ def test_overwriting_replaces_the_results_and_nothing_else(tmp_path):
     }
 
 
+def test_overwriting_leaves_nothing_of_an_earlier_run(tmp_path):
+    with result_folder(tmp_path, NAMES) as folder:
+        write(folder, "old")
+        write_summary(folder, {})
+    with result_folder(tmp_path, NAMES, overwrite=True) as folder:
+        write(folder, "new")
+    assert not (tmp_path / "summary.json").exists()
+    assert (tmp_path / "data.csv").read_text() == "new"
+
+
 def test_files_of_other_names_do_not_clash(tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     with result_folder(tmp_path, NAMES) as folder:
