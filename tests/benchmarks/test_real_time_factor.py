@@ -245,7 +245,8 @@ def test_time_of_one_evaluation(save: Save, learned: sgvf.GuidingField) -> None:
     command, acceleration, *_ = parts["GuidanceSystem"](x)
     np.testing.assert_allclose(command[:2], SPEED * m, atol=1e-12)
     np.testing.assert_allclose(acceleration[:2], SPEED * J @ x[6:8], atol=1e-12)
-    assert np.sum(parts["Se3Controller"](x)) > 0.0
+    propeller_force, _ = parts["Se3Controller"](x)
+    assert propeller_force.sum() > 0.0
 
 
 def make_evaluation(
