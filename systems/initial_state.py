@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.autodiffutils import AutoDiffXd
-from pydrake.systems.framework import Context, Diagram
+from pydrake.systems.framework import Context, Diagram, Diagram_
 from pydrake.systems.primitives import PassThrough, PassThrough_
 
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
@@ -54,11 +54,7 @@ def SetVehicleState(diagram: Diagram, context: Context, state: ArrayLike) -> Non
     capture: Any = diagram.GetSubsystemByName("motion_capture")
     if isinstance(capture, (PassThrough, PassThrough_[AutoDiffXd])):
         return
-    if not hasattr(capture, "SetVectorState"):
-        raise ConfigurationError(
-            "converted or cloned sensors have no start to set: set it in a Context of the "
-            "diagram that was built, and take it over by SetTimeStateAndParametersFrom"
-        )
+    _CheckBuilt(capture)
     capture.SetVectorState(capture.GetMyMutableContextFromRoot(context), values)
 
 
@@ -71,7 +67,23 @@ def SetNoiseSeed(diagram: Diagram, context: Context, seed: int) -> None:
         diagram: From `MakeFlightDiagram`, or any with a system "motion_capture".
         context: Of the diagram.
         seed: Not negative.
+
+    Raises:
+        ConfigurationError: if the diagram is a converted or cloned one with sensors.
     """
     capture: Any = diagram.GetSubsystemByName("motion_capture")
+    _CheckBuilt(capture)
     if isinstance(capture, MotionCapture):
         capture.SetNoiseSeed(capture.GetMyMutableContextFromRoot(context), seed)
+
+
+def _CheckBuilt(capture: Any) -> None:
+    """Raises ConfigurationError on what Drake has made of a `MotionCapture`."""
+    if isinstance(capture, (Diagram, Diagram_[AutoDiffXd])) and not isinstance(
+        capture, MotionCapture
+    ):
+        raise ConfigurationError(
+            "converted or cloned sensors have no start and no seed to set: set them in a "
+            "Context of the diagram that was built, and take them over by "
+            "SetTimeStateAndParametersFrom"
+        )

@@ -258,6 +258,8 @@ def test_start_of_cloned_sensors_is_refused_with_the_way_around(circle_field):
     context = clone.CreateDefaultContext()
     with pytest.raises(ConfigurationError, match="SetTimeStateAndParametersFrom"):
         SetHover(clone, context, START)
+    with pytest.raises(ConfigurationError, match="seed"):
+        SetNoiseSeed(clone, context, 3)
     original = diagram.CreateDefaultContext()
     SetHover(diagram, original, START)
     context.SetTimeStateAndParametersFrom(original)
