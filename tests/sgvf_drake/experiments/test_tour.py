@@ -230,5 +230,5 @@ def test_loss_of_control_is_one_clear_error(monkeypatch, flight_field, rings):
         raise RuntimeError("the plant is at gimbal-lock")
 
     monkeypatch.setitem(fly_tour.__globals__, "_advance", tip_over)
-    with pytest.raises(ConfigurationError, match="lost control on piece 2 at 3 m/s"):
+    with pytest.raises(ConfigurationError, match="lost control on the tour at 3 m/s"):
         fly_tour(flight_field, rings, (1,), 3.0)
