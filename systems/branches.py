@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from sgvf_drake.arrays import FloatArray
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields.base import Field
-from sgvf_drake.paths import TreeReference, trace_pieces
+from sgvf_drake.paths import PointCloud, TreeReference, trace_pieces
 from systems.guidance import FieldForSpeed
 from systems.transfer import Motion, PlanTransfer
 
@@ -19,10 +19,6 @@ MAX_DEPARTURES = 20
 
 BRAKING_SHARE = 0.3
 """Share of the greatest acceleration that brakes ahead of a turn; the turn takes the rest."""
-
-STRAY_SHARE = 0.125
-"""Share of the largest extent of a cloud that is one U, the length of the shortest piece that
-is flown."""
 
 ENTRY_SHARE = 0.1
 """Share of an open branch, from its start, in which a vehicle enters it from elsewhere."""
@@ -71,19 +67,19 @@ def MotionAlong(field: Field, points: FloatArray, speed: float) -> Motion:
 def MakeBranches(field: Field, points: FloatArray) -> tuple[Branch, ...]:
     """Returns the pieces of a cloud of waypoints, longest first, without stray points.
 
-    Pieces shorter than `STRAY_SHARE` of the cloud's largest extent are strays.
+    Pieces shorter than one U, `PointCloud.unit_length`, are strays.
 
     Args:
         field: The guiding field; it tells the direction of travel of open pieces, and a
             learned one which pieces are open: those at whose ends it comes to rest.
         points: The waypoints, (n, d) in m: of a learned field, `field.cloud.points`.
     """
-    shortest = STRAY_SHARE * float(np.ptp(points, axis=0).max())
+    unit = PointCloud(points).unit_length
     tree = TreeReference(points, tuple(trace_pieces(points)))
     ends = getattr(field, "ends", np.empty((0, field.dim)))
     branches = []
-    for piece in tree.opened_at(ends, shortest).pieces:
-        if len(piece.order) < 2 or piece.length < shortest:
+    for piece in tree.opened_at(ends, unit).pieces:
+        if len(piece.order) < 2 or piece.length < unit:
             continue
         ordered = points[piece.order]
         steps = np.diff(ordered, axis=0)

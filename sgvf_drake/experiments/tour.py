@@ -17,11 +17,7 @@ from sgvf_drake.experiments.feasibility import (
     check_feasibility,
     lost_control_named,
 )
-from sgvf_drake.experiments.flight_log import (
-    FORCE_COLUMNS,
-    LOG_PERIOD,
-    flight_log,
-)
+from sgvf_drake.experiments.flight_log import FORCE_COLUMNS, LOG_PERIOD, flight_log
 from sgvf_drake.experiments.fly import (
     REST_S,
     START_OFFSET,
@@ -170,13 +166,13 @@ def fly_tour(
     flown = [branches[stop] for stop in stops]
     limit = _time_limit(flown, laps, _slowest(speed, feasibility), unit)
     rest = 0.0 if flown[-1].closed else (START_OFFSET + REST_WINDOW) * unit / speed + REST_S
-    begin = time.perf_counter()
     shown = nullcontext() if scene is None else scene.show(simulator, "tour")
     with lost_control_named("the tour", speed, feasibility), shown:
+        begin = time.perf_counter()
         completed = _advance(simulator, len(stops), rest, limit, progress)
-    wall_s = time.perf_counter() - begin
+        wall_s = time.perf_counter() - begin
     log = _tour_log(diagram, context, field, reference, pieces)
-    legs, transfers = _legs_and_transfers(log, unit, parameters)
+    legs, transfers = _legs_and_transfers(log, unit)
     return TourResult(
         log,
         legs,
@@ -273,7 +269,7 @@ def _tour_log(
 
 
 def _legs_and_transfers(
-    log: pd.DataFrame, unit_length: float, parameters: QuadrotorParameters
+    log: pd.DataFrame, unit_length: float
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     legs, transfers = [], []
     for part in _parts(log):
