@@ -15,7 +15,9 @@ from sgvf_drake.experiments.fly import FlightResult, fly
 from sgvf_drake.experiments.follow import FollowResult, follow
 from sgvf_drake.experiments.importing import run_import
 from sgvf_drake.experiments.reference import choose_reference, scale_reference
+from sgvf_drake.experiments.running import run_scenario
 from sgvf_drake.experiments.runs import open_field, run_fly, run_follow, run_tour, run_train
+from sgvf_drake.experiments.scenario import Scenario, load_scenario, scenario_names
 from sgvf_drake.experiments.scene import FlightScene, View
 from sgvf_drake.experiments.singularities import run_singularities
 from sgvf_drake.experiments.tour import TourResult, fly_tour
@@ -27,6 +29,7 @@ __all__ = [
     "FlightResult",
     "FlightScene",
     "FollowResult",
+    "Scenario",
     "TourResult",
     "View",
     "check_feasibility",
@@ -38,17 +41,20 @@ __all__ = [
     "fly",
     "fly_tour",
     "follow",
+    "load_scenario",
     "log_density_figure",
     "open_field",
     "run_demo",
     "run_fly",
     "run_follow",
     "run_import",
+    "run_scenario",
     "run_singularities",
     "run_tour",
     "run_train",
     "run_verify",
     "scale_reference",
+    "scenario_names",
     "singularity_figure",
     "theorem_figure",
     "tour_figure",

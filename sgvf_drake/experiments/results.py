@@ -38,15 +38,7 @@ def result_folder(
         ConfigurationError: `out` cannot be a folder.
     """
     out = Path(out)
-    for folder in (out, *out.parents):
-        if folder.exists() and not folder.is_dir():
-            raise ConfigurationError(f"cannot write to {out}: {folder} is not a folder")
-    clashes = [name for name in names if (out / name).exists()]
-    if clashes and not overwrite:
-        raise OutputExistsError(
-            f"{out} already holds {', '.join(clashes)}; "
-            "choose another --out, or pass --overwrite to replace them"
-        )
+    check_results(out, names, overwrite=overwrite)
     made = [folder for folder in out.parents if not folder.exists()]
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -72,6 +64,22 @@ def result_folder(
                 folder.rmdir()
 
 
+def check_results(
+    out: str | os.PathLike[str], names: Sequence[str], *, overwrite: bool = False
+) -> None:
+    """Raises what `result_folder` would raise, where names are only known after the work."""
+    out = Path(out)
+    for folder in (out, *out.parents):
+        if folder.exists() and not folder.is_dir():
+            raise ConfigurationError(f"cannot write to {out}: {folder} is not a folder")
+    clashes = [name for name in names if (out / name).exists()]
+    if clashes and not overwrite:
+        raise OutputExistsError(
+            f"{out} already holds {', '.join(clashes)}; "
+            "choose another --out, or pass --overwrite to replace them"
+        )
+
+
 def _move(source: Path, target: Path) -> None:
     """Moves every file, each in one step; what else lies in the target stays."""
     for path in sorted(source.rglob("*")):
@@ -94,18 +102,19 @@ def origin(field: GuidingField) -> dict[str, Any]:
 
 def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
     """Writes `summary.json`; NumPy values become plain ones, non-finite numbers null."""
-    text = json.dumps(_plain(summary), indent=2, allow_nan=False)
+    text = json.dumps(plain(summary), indent=2, allow_nan=False)
     (folder / SUMMARY).write_text(text + "\n", encoding="utf-8")
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """Returns a value as JSON has it: NumPy values plain, non-finite numbers None."""
     match value:
         case Mapping():
-            return {str(key): _plain(item) for key, item in value.items()}
+            return {str(key): plain(item) for key, item in value.items()}
         case list() | tuple() | np.ndarray():
-            return [_plain(item) for item in value]
+            return [plain(item) for item in value]
         case np.generic():
-            return _plain(value.item())
+            return plain(value.item())
         case float() if not math.isfinite(value):
             return None
         case _:

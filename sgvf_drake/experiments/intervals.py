@@ -1,0 +1,64 @@
+"""What a few seeds say: a mean with its interval, a fraction with its interval."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import stats
+
+CONFIDENCE = 0.95
+RESAMPLES = 2_000
+
+
+def interval(values: ArrayLike, seed: int = 0) -> tuple[float, float, float]:
+    """Returns the mean of values and its 95 % interval, by the percentile bootstrap.
+
+    NaN values are left out.  The interval is NaN for a single value, which says nothing of
+    the spread; all three are NaN without any.
+
+    Args:
+        values: One a seed.
+        seed: Of the resampling.
+    """
+    known = np.asarray(values, dtype=np.float64).ravel()
+    known = known[~np.isnan(known)]
+    if len(known) == 0:
+        return (float("nan"),) * 3
+    mean = float(known.mean())
+    if len(known) == 1:
+        return mean, float("nan"), float("nan")
+    result = stats.bootstrap(
+        (known,),
+        np.mean,
+        confidence_level=CONFIDENCE,
+        n_resamples=RESAMPLES,
+        method="percentile",
+        rng=np.random.default_rng(seed),
+    )
+    low, high = result.confidence_interval
+    return mean, float(low), float(high)
+
+
+def fraction_interval(successes: int, trials: int) -> tuple[float, float, float]:
+    """Returns successes / trials and its 95 % Wilson interval.
+
+    Raises:
+        ValueError: There is no trial, or there are more successes than trials.
+    """
+    found = stats.binomtest(successes, trials).proportion_ci(CONFIDENCE, method="wilson")
+    return successes / trials, float(found.low), float(found.high)
+
+
+def interval_columns(name: str, values: ArrayLike, seed: int = 0) -> Mapping[str, float]:
+    """Returns `interval` as three columns of a table: "NAME mean", "NAME low", "NAME high"."""
+    return _columns(name, interval(values, seed))
+
+
+def fraction_columns(name: str, outcomes: Sequence[bool]) -> Mapping[str, float]:
+    """Returns `fraction_interval` of yes-or-no outcomes as three columns of a table."""
+    return _columns(name, fraction_interval(int(np.sum(outcomes)), len(outcomes)))
+
+
+def _columns(name: str, values: tuple[float, float, float]) -> Mapping[str, float]:
+    parts = zip(("mean", "low", "high"), values, strict=True)
+    return {f"{name} {part}": value for part, value in parts}

@@ -1,0 +1,140 @@
+"""Scenarios: an experiment with its options in a YAML file, and named overrides."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, fields
+from functools import reduce
+from importlib.resources import files
+import operator
+from pathlib import Path
+from typing import Any, Protocol
+
+from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
+import yaml
+
+from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.experiments.outcome import Outcome
+from sgvf_drake.experiments.paper import KINDS, NoExperiment
+from sgvf_drake.experiments.workbench import Workbench
+
+BASE = "scenario"
+"""The part of a file that is complete; every other part is a named override of it."""
+
+_PACKAGED = Path(str(files("sgvf_drake") / "scenarios"))
+_Kind: Any = reduce(operator.or_, KINDS, NoExperiment)
+
+
+class Experiment(Protocol):
+    """A kind of experiment: its options, and the run."""
+
+    seeds: list[int]
+
+    def run(self, bench: Workbench) -> Outcome:
+        """Runs its trials on a bench and says what they show."""
+
+
+@dataclass
+class Scenario:
+    """An experiment as it is run.
+
+    Attributes:
+        title: What it shows, in a few words.
+        source: Where the paper has it: "Fig. 4".
+        experiment: A kind with its options.
+    """
+
+    title: str = ""
+    source: str = ""
+    experiment: _Kind = field(default_factory=NoExperiment)
+
+    def to_yaml(self) -> str:
+        """Returns it as a file that `load_scenario` reads."""
+        return yaml_dump_typed(self, child_name=BASE)
+
+    def summary(self) -> dict[str, Any]:
+        """Returns it as plain values."""
+        return {
+            "title": self.title,
+            "source": self.source,
+            "kind": type(self.experiment).__name__,
+            "options": asdict(self.experiment),
+        }
+
+
+def scenario_names() -> list[str]:
+    """Returns the names of the scenarios that come with the package, in their order."""
+    return sorted(file.stem for file in _PACKAGED.glob("*.yaml"))
+
+
+def load_scenario(
+    scenario: str | Path, overrides: Sequence[str] = (), settings: Sequence[str] = ()
+) -> Scenario:
+    """Reads a scenario.
+
+    The file has a part `scenario`, and other parts that override it in parts; with Drake's
+    `yaml_load_typed`, so that an unknown key is an error.
+
+    Args:
+        scenario: A name of `scenario_names()`, or a YAML file.
+        overrides: Names of overrides in the file, applied in this order.
+        settings: Options of the experiment as ``name=value``, the value in YAML; last.
+
+    Raises:
+        ConfigurationError: There is no such scenario or override, or the file or a setting
+            cannot be used; the message names it.
+    """
+    file = _find(scenario)
+    loaded = Scenario()
+    for part in (BASE, *overrides):
+        with _named(f"{file}, {part}"):
+            loaded = yaml_load_typed(
+                schema=Scenario, filename=str(file), child_name=part, defaults=loaded
+            )
+        if isinstance(loaded.experiment, NoExperiment):
+            raise ConfigurationError(
+                f"{file}, {part}: the experiment needs a kind, as in `experiment: !"
+                f"{KINDS[0].__name__}` (they are {', '.join(kind.__name__ for kind in KINDS)})"
+            )
+    for setting in settings:
+        loaded = _with_setting(loaded, setting)
+    return loaded
+
+
+def _find(scenario: str | Path) -> Path:
+    path = Path(scenario)
+    if path.suffix in (".yaml", ".yml"):
+        if not path.is_file():
+            raise ConfigurationError(f"there is no scenario file {path}")
+        return path
+    packaged = _PACKAGED / f"{scenario}.yaml"
+    if not packaged.is_file():
+        raise ConfigurationError(
+            f"there is no scenario {str(scenario)!r} (they are {', '.join(scenario_names())}; "
+            "or give a .yaml file)"
+        )
+    return packaged
+
+
+def _with_setting(scenario: Scenario, setting: str) -> Scenario:
+    name, equals, value = setting.partition("=")
+    options = [option.name for option in fields(scenario.experiment)]
+    if not equals or name not in options:
+        raise ConfigurationError(
+            f"the setting {setting!r} is not name=value with a name of "
+            f"{type(scenario.experiment).__name__} ({', '.join(options)})"
+        )
+    data = f"experiment: !{type(scenario.experiment).__name__}\n  {name}: {value}\n"
+    with _named(f"setting {setting!r}"):
+        loaded: Scenario = yaml_load_typed(schema=Scenario, data=data, defaults=scenario)
+    return loaded
+
+
+@contextmanager
+def _named(place: str) -> Iterator[None]:
+    """Turns what reading YAML raises into an error that tells where."""
+    try:
+        yield
+    except KeyError as error:
+        raise ConfigurationError(f"{place}: there is no part {error} in the file") from None
+    except (RuntimeError, TypeError, ValueError, OSError, yaml.YAMLError) as error:
+        raise ConfigurationError(f"{place}: {' '.join(str(error).split())}") from None
