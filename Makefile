@@ -16,7 +16,7 @@ demo: $(VENV)/.run-time
 	$(BIN)/sgvf demo --out demo --overwrite
 
 test: $(VENV)/.development browser
-	$(BIN)/python -m pytest -m "not benchmark"
+	$(BIN)/python -m pytest -m "not benchmark" -n auto --dist loadfile
 
 # The pages of flights are tested in Chromium, which Debian has and PyPI has not.
 browser:
