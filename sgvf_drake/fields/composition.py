@@ -10,8 +10,9 @@ import numpy as np
 
 from sgvf_drake.fields.base import FloatArray
 
-# k_s of the paper's simulations (Section V-A).
 PAPER_GAIN = 0.2
+"""k_s of the paper's simulations (Section V-A)."""
+
 # |N| at which the smooth unit vector N / sqrt(|N|^2 + delta^2) starts to shrink.
 DIRECTION_SOFTENING = 0.05
 # The same for m where it is normalised: |m| is 1 to 1e-6 wherever |s + v| is above 1e-3.
@@ -127,7 +128,7 @@ class RobustComposition(Composition):
     Attributes:
         sigma: The noise level of the score, normalised units.
         projects: Whether g is as above, or zero: then the score stops the robot where the
-            density ends, as it should at the end of an open path.
+            density ends, as it should at the end of an open path, and can where it peaks.
         tangent_share: What is left of the second term, sech(k_s |S'|) v.
     """
 

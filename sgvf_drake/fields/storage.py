@@ -124,7 +124,7 @@ def _header(field: GuidingField) -> dict[str, Any]:
         "recipe": field.recipe,
         "seed": field.seed,
         "sigma": field.sigma,
-        "composition": COMPOSITIONS[type(field.composition)],
+        "composition": _composition_name(field.composition),
         "gain": field.composition.gain,
         "score_scale": network.scale if network else None,
         "score_activation": network.network.activation.name if network else None,
@@ -182,10 +182,19 @@ def _positive(header: Mapping[str, Any], key: str) -> float:
     return value
 
 
+def _composition_name(composition: Composition) -> str:
+    if isinstance(composition, RobustComposition) and not composition.projects:
+        # A name of its own, so that versions that would put the projection back refuse it.
+        return "unprojected"
+    return COMPOSITIONS[type(composition)]
+
+
 def _composition(header: Mapping[str, Any], sigma: float) -> Composition:
     match header["composition"]:
         case "robust":
             return RobustComposition(_positive(header, "gain"), sigma)
+        case "unprojected":
+            return RobustComposition(_positive(header, "gain"), sigma, projects=False)
         case "paper":
             return PaperComposition(_positive(header, "gain"))
         case "normalised":

@@ -1,13 +1,11 @@
 """What a training run is asked to do: the recipe, and what the user overrides of it."""
 
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-import math
-import operator
 from typing import Any, Literal, get_args
 
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.learning.direction import DIRECTIONS, Direction
+from sgvf_drake.learning.conversions import CONVERSIONS
+from sgvf_drake.learning.direction import Direction
 from sgvf_drake.learning.scales import SIGMA_DEFAULT
 
 Recipe = Literal["paper", "robust", "exact"]
@@ -18,6 +16,11 @@ GAIN_PER_SIGMA = 2.0
 FREQUENCY_STD = 2.0
 SCORE_ITERATIONS = 1_500
 TANGENT_ITERATIONS = 1_000
+NUM_FREQUENCIES = 32
+# Keeps |N| well above the softening of its direction; small, since near the zeros that the
+# topology demands (Poincare-Hopf) it has to give way.
+UNIT_WEIGHT = 0.3
+HINT_WEIGHT = 3.0
 # Each restart adds this share of the first attempt's widths and iterations.
 GROWTH = 0.5
 
@@ -43,13 +46,26 @@ class TrainingConfig:
             in the other recipes, which makes half a noise level the distance over which the
             robot turns from approaching the path to following it.
         frequency_std: Standard deviation of the random Fourier frequencies.
+        num_frequencies: Random Fourier features that each network sees; 0: none, the networks
+            see the scaled inputs themselves.
+        exact_target: Whether the score learns the exact score of the noised waypoints; else
+            Algorithm 1's noisy target -eps / sigma(t) of the waypoint that was drawn.  In the
+            robust recipe all samples are then drawn by the perturbation, none in the box.
         score_hidden: Hidden widths of the score network.
         score_iterations: Optimisation steps of the score network.
         tangent_hidden: Hidden widths of the tangent network.
         tangent_iterations: Optimisation steps of the tangent network.
+        unit_weight: lambda_1 of the paper, the weight of the unit-length loss; 0 removes a
+            loss.
+        orthogonality_weight: lambda_2, of the orthogonality loss.
+        direction_weight: lambda_3, of the directional consistency loss.
+        hint_weight: Of the agreement with the orientation hint.  At 0 nothing decides which
+            way along a piece, and a piece may get both.
+        projection: Whether the score's part along the tangent is taken out near the path.
 
     Raises:
-        ConfigurationError: A value cannot be used; the message names it.
+        ConfigurationError: A value cannot be used, or means nothing in the recipe; the message
+            names it.
     """
 
     recipe: Recipe = "robust"
@@ -61,17 +77,24 @@ class TrainingConfig:
     sigma_min: float | None = None
     gain: float | None = None
     frequency_std: float | None = None
+    num_frequencies: int | None = None
+    exact_target: bool | None = None
     score_hidden: tuple[int, ...] | None = None
     score_iterations: int | None = None
     tangent_hidden: tuple[int, ...] | None = None
     tangent_iterations: int | None = None
+    unit_weight: float | None = None
+    orthogonality_weight: float | None = None
+    direction_weight: float | None = None
+    hint_weight: float | None = None
+    projection: bool | None = None
 
     def __post_init__(self) -> None:
         if self.recipe not in RECIPES:
             raise ConfigurationError(
                 f"unknown recipe {self.recipe!r}; choose one of {', '.join(RECIPES)}"
             )
-        for name, convert in _CONVERT.items():
+        for name, convert in CONVERSIONS.items():
             value = getattr(self, name)
             if value is None and name != "seed":
                 continue
@@ -80,6 +103,13 @@ class TrainingConfig:
                 object.__setattr__(self, name, convert(value))
             except (TypeError, ValueError, OverflowError):
                 raise ConfigurationError(f"{name} cannot be {value!r}") from None
+        for name, reason in _NOT_FOR.get(self.recipe, {}).items():
+            if getattr(self, name) is not None:
+                raise ConfigurationError(
+                    f"{name} is not for the recipe {self.recipe}, {reason}"
+                )
+        if not any(self.resolved(SIGMA_DEFAULT).weights.values()):
+            raise ConfigurationError("every loss of the tangent has weight 0; nothing is left")
 
     def resolved(self, sigma: float) -> "Settings":
         """Returns every value of the run, where the cloud asks for a noise level."""
@@ -109,10 +139,27 @@ class Settings:
     sigma_min: float
     gain: float
     frequency_std: float
+    num_frequencies: int
+    exact_target: bool
     score_hidden: tuple[int, ...]
     score_iterations: int
     tangent_hidden: tuple[int, ...]
     tangent_iterations: int
+    unit_weight: float
+    orthogonality_weight: float
+    direction_weight: float
+    hint_weight: float
+    projection: bool
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """The weight of each loss of the tangent."""
+        return {
+            "unit": self.unit_weight,
+            "orthogonality": self.orthogonality_weight,
+            "direction": self.direction_weight,
+            "hint": self.hint_weight,
+        }
 
     def grown(self, attempt: int) -> "Settings":
         """Returns the settings of a later attempt: wider networks, more iterations."""
@@ -126,82 +173,46 @@ class Settings:
         )
 
 
-def _natural(value: Any) -> int:
-    number = int(operator.index(value))
-    if number < 0:
-        raise ValueError
-    return number
-
-
-def _count(value: Any) -> int:
-    number = _natural(value)
-    if number == 0:
-        raise ValueError
-    return number
-
-
-def _positive(value: Any) -> float:
-    if not (math.isfinite(value) and value > 0):
-        raise ValueError
-    return float(value)
-
-
-def _widths(value: Any) -> tuple[int, ...]:
-    if len(value) == 0:
-        raise ValueError
-    return tuple(_count(width) for width in value)
-
-
-def _point(value: Any) -> tuple[float, ...]:
-    point = tuple(float(coordinate) for coordinate in value)
-    if not all(map(math.isfinite, point)):
-        raise ValueError
-    return point
-
-
-def _flag(value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise ValueError
-    return value
-
-
-def _direction(value: Any) -> Any:
-    choices = (value,) if isinstance(value, str) else tuple(value)
-    if not set(choices) <= {*DIRECTIONS, None}:
-        raise ValueError
-    return value if isinstance(value, str) else choices
-
-
-_CONVERT: dict[str, Callable[[Any], Any]] = {
-    "seed": _natural,
-    "open": _flag,
-    "direction": _direction,
-    "start": _point,
-    "max_restarts": _natural,
-    "sigma_min": _positive,
-    "gain": _positive,
-    "frequency_std": _positive,
-    "score_hidden": _widths,
-    "score_iterations": _count,
-    "tangent_hidden": _widths,
-    "tangent_iterations": _count,
+# What means nothing in a recipe, and why.
+_NOT_FOR: dict[Recipe, dict[str, str]] = {
+    "paper": {
+        "num_frequencies": "whose networks see x and t themselves",
+        "hint_weight": "which has no orientation hint",
+        "projection": "whose field is the plain sum s + v",
+    },
+    "exact": {"exact_target": "which has no score network"},
 }
 # What is asked of the path, and not of the learning.
 _OF_THE_PATH = ("open", "direction", "start")
-# Paper, Section V-A: networks, iterations and k_s.  No restarts: it is there to be compared.
+# Paper, Section V-A: networks, iterations, k_s and lambdas.  No restarts: it is there to be
+# compared.
 _PAPER: dict[str, Any] = {
     "max_restarts": 0,
     "sigma_min": 0.1,
     "gain": 0.2,
     "frequency_std": 0.0,
+    "num_frequencies": 0,
+    "exact_target": False,
     "score_hidden": (64, 64, 64, 64),
     "score_iterations": 10_000,
     "tangent_hidden": (128,),
     "tangent_iterations": 10_000,
+    "unit_weight": 1.0,
+    "orthogonality_weight": 1.0,
+    "direction_weight": 1.0,
+    "hint_weight": 0.0,
+    "projection": False,
 }
 # The exact recipe shares them; it has no score network.
 _ROBUST: dict[str, Any] = {
     "max_restarts": 2,
+    "num_frequencies": NUM_FREQUENCIES,
+    "exact_target": True,
     "score_hidden": (64, 64, 64, 64),
     "tangent_hidden": (64, 64, 64),
+    "unit_weight": UNIT_WEIGHT,
+    "orthogonality_weight": 1.0,
+    "direction_weight": 1.0,
+    "hint_weight": HINT_WEIGHT,
+    "projection": True,
 }

@@ -5,7 +5,6 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from sgvf_drake.learning.networks import Network
 from sgvf_drake.learning.schedule import NoiseSchedule
 
 # Norm of q = sigma S at which `compress` bends from linear to constant.
@@ -18,6 +17,7 @@ BOX_SHARE = 0.3
 BOX_HALF_SIZE = 5.0
 
 Losses = Callable[[], dict[str, Tensor]]
+Function = Callable[[Tensor], Tensor]
 
 
 def mixture_score(x: Tensor, sigma: Tensor | float, points: Tensor) -> Tensor:
@@ -42,23 +42,37 @@ def compress(q: Tensor) -> Tensor:
 
 
 def paper_score_loss(
-    network: Network, points: Tensor, schedule: NoiseSchedule, batch_size: int
+    network: Function,
+    points: Tensor,
+    schedule: NoiseSchedule,
+    batch_size: int,
+    exact: bool = False,
 ) -> Losses:
-    """Algorithm 1 to the letter: the network's output is S, its target -eps / sigma(t)."""
+    """Algorithm 1 to the letter: the network's output is S, its target -eps / sigma(t).
+
+    Args:
+        network: The score network of (x, t).
+        points: The waypoints, (N, d).
+        schedule: The noise of the perturbation.
+        batch_size: Samples of a step.
+        exact: Whether the target is the conditional mean of that one instead.
+    """
 
     def losses() -> dict[str, Tensor]:
         z = points[torch.randint(len(points), (batch_size,))]
         t = torch.rand(batch_size, 1)
         noise = torch.randn_like(z)
         sigma = schedule(t)
-        output = network(torch.cat([z + sigma * noise, t], dim=1))
-        return {"score": (output + noise / sigma).square().sum(dim=1).mean()}
+        x = z + sigma * noise
+        target = mixture_score(x, sigma, points) if exact else -noise / sigma
+        output = network(torch.cat([x, t], dim=1))
+        return {"score": (output - target).square().sum(dim=1).mean()}
 
     return losses
 
 
 def robust_score_loss(
-    network: Network, points: Tensor, schedule: NoiseSchedule, batch_size: int
+    network: Function, points: Tensor, schedule: NoiseSchedule, batch_size: int
 ) -> Losses:
     """Matches compress(q) with the exact q = sigma S, around the path and in the box."""
     at_end = round(DATA_END_SHARE * batch_size)
@@ -77,5 +91,28 @@ def robust_score_loss(
         output = network(torch.cat([x, t], dim=1))
         error = compress(output) - compress(target)
         return {"score": error.square().sum(dim=1).mean()}
+
+    return losses
+
+
+def noisy_score_loss(
+    network: Function, points: Tensor, schedule: NoiseSchedule, batch_size: int
+) -> Losses:
+    """Matches q with Algorithm 1's target, sigma (-eps / sigma) = -eps, at the robust times.
+
+    All samples are drawn by the perturbation, each by the noise of its own time: the
+    conditional mean of -eps is the exact q there, while one in the box has no waypoint that
+    it came from.  Nothing is compressed: -eps is of order one, and the mean of a compressed
+    target would not be the compressed mean.
+    """
+    at_end = round(DATA_END_SHARE * batch_size)
+
+    def losses() -> dict[str, Tensor]:
+        t = torch.rand(batch_size, 1)
+        t[torch.randperm(batch_size)[:at_end]] = 1.0
+        z = points[torch.randint(len(points), (batch_size,))]
+        noise = torch.randn_like(z)
+        output = network(torch.cat([z + schedule(t) * noise, t], dim=1))
+        return {"score": (output + noise).square().sum(dim=1).mean()}
 
     return losses

@@ -1,13 +1,12 @@
 """Learning the tangent field on top of a fixed score (paper, Algorithm 2)."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import torch
 from torch import Tensor
 
-from sgvf_drake.learning.networks import Network
 from sgvf_drake.learning.schedule import NoiseSchedule
-from sgvf_drake.learning.score_matching import BOX_HALF_SIZE, Losses
+from sgvf_drake.learning.score_matching import BOX_HALF_SIZE, Function, Losses
 from sgvf_drake.learning.tangent_losses import (
     directional_consistency_loss,
     normalized_score,
@@ -20,27 +19,33 @@ from sgvf_drake.learning.tangent_losses import (
 NEIGHBOUR_NOISE = 0.1
 PAPER_NEIGHBOURS = 5
 ROBUST_NEIGHBOURS = 2
-# Share of a robust batch that is uniform in the box, and its weight of the hint.
+# Share of a robust batch that is uniform in the box.
 BOX_SHARE = 0.4
-HINT_WEIGHT = 3.0
-# Keeps |N| well above the softening of its direction; small, since near the zeros that the
-# topology demands (Poincare-Hopf) it has to give way.
-UNIT_WEIGHT = 0.3
 
-Score = Callable[[Tensor], Tensor]
+Terms = dict[str, Callable[[], Tensor]]
 
 
 def paper_tangent_loss(
-    network: Network,
-    score: Score,
+    network: Function,
+    score: Function,
     points: Tensor,
     schedule: NoiseSchedule,
     gain: float,
     batch_size: int,
+    weights: Mapping[str, float],
 ) -> Losses:
     """Algorithm 2 to the letter: unit length, orthogonality, directional consistency.
 
-    x is drawn from the conditional path of Algorithm 1, all weights lambda are one.
+    x is drawn from the conditional path of Algorithm 1.
+
+    Args:
+        network: The tangent network.
+        score: The raw score at t = 1, (n, d) -> (n, d).
+        points: The waypoints, (N, d).
+        schedule: The noise of the conditional path.
+        gain: k_s of the normalised score.
+        batch_size: Samples of a step.
+        weights: lambda_1 to lambda_3 by the name of the loss; 0 removes it.
     """
 
     def losses() -> dict[str, Tensor]:
@@ -48,26 +53,29 @@ def paper_tangent_loss(
         x = z + schedule(torch.rand(batch_size, 1)) * torch.randn_like(z)
         s = normalized_score(score(x), gain)
         v, neighbours = _with_neighbours(network, x, PAPER_NEIGHBOURS, NEIGHBOUR_NOISE)
-        return {
-            "unit": unit_length_loss(s, v),
-            "orthogonality": orthogonality_loss(s, v),
-            "direction": directional_consistency_loss(v, neighbours),
+        terms: Terms = {
+            "unit": lambda: unit_length_loss(s, v),
+            "orthogonality": lambda: orthogonality_loss(s, v),
+            "direction": lambda: directional_consistency_loss(v, neighbours),
         }
+        return _weighted(terms, weights)
 
     return losses
 
 
 def robust_tangent_loss(
-    network: Network,
-    score: Score,
+    network: Function,
+    score: Function,
     points: Tensor,
     hint: Tensor,
     sigma: float,
     batch_size: int,
+    weights: Mapping[str, float],
 ) -> Losses:
     """Orthogonality, directional consistency and agreement with the orientation hint.
 
-    Unit length needs no loss: the robust composition has it built in.
+    Unit length of m needs no loss: the robust composition has it built in.  That of N has
+    one, so that its direction is well defined.
 
     Args:
         network: The tangent network.
@@ -76,6 +84,7 @@ def robust_tangent_loss(
         hint: The orientation hint at the waypoints, (N, d); zero rows are left out.
         sigma: The noise level of the score; neighbours are no farther.
         batch_size: Samples of a step.
+        weights: Of each loss by its name; 0 removes it.
     """
     in_box = round(BOX_SHARE * batch_size)
     noise = min(NEIGHBOUR_NOISE, sigma)
@@ -87,21 +96,27 @@ def robust_tangent_loss(
         box = BOX_HALF_SIZE * (2 * torch.rand(in_box, points.shape[1]) - 1)
         x = torch.cat([near, box])
         v, neighbours = _with_neighbours(network, x, ROBUST_NEIGHBOURS, noise)
-        return {
-            "unit": UNIT_WEIGHT * unit_length_loss(torch.zeros_like(v), v),
-            "orthogonality": orthogonality_loss(score(x), v),
-            "direction": directional_consistency_loss(v, neighbours),
-            "hint": HINT_WEIGHT * orientation_loss(network(points[chosen]), hint[chosen]),
+        terms: Terms = {
+            "unit": lambda: unit_length_loss(torch.zeros_like(v), v),
+            "orthogonality": lambda: orthogonality_loss(score(x), v),
+            "direction": lambda: directional_consistency_loss(v, neighbours),
+            "hint": lambda: orientation_loss(network(points[chosen]), hint[chosen]),
         }
+        return _weighted(terms, weights)
 
     return losses
 
 
+def _weighted(terms: Terms, weights: Mapping[str, float]) -> dict[str, Tensor]:
+    """Returns the losses of a weight that is not zero, times it; no other is computed."""
+    return {name: weights[name] * loss() for name, loss in terms.items() if weights[name] > 0}
+
+
 def _with_neighbours(
-    network: Network, x: Tensor, count: int, noise: float
+    network: Function, x: Tensor, count: int, noise: float
 ) -> tuple[Tensor, Tensor]:
     """Returns the tangent at x, (n, d), and at `count` noisy copies, (count, n, d)."""
     copies = x + noise * torch.randn(count, *x.shape)
     v = network(torch.cat([x[None], copies]).flatten(0, 1))
-    v = v.unflatten(0, (count + 1, len(x)))
+    v = v.reshape(count + 1, *x.shape)
     return v[0], v[1:]

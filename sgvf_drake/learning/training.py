@@ -4,12 +4,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 import time
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from scipy.spatial import cKDTree
 import torch
-from torch import Tensor
 
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import (
@@ -27,26 +27,23 @@ from sgvf_drake.learning.networks import Network
 from sgvf_drake.learning.optimization import Optimization, optimize
 from sgvf_drake.learning.orientation import orientation_hint
 from sgvf_drake.learning.schedule import NoiseSchedule
-from sgvf_drake.learning.score_matching import (
-    mixture_score,
-    paper_score_loss,
-    robust_score_loss,
+from sgvf_drake.learning.score_matching import Function, mixture_score
+from sgvf_drake.learning.score_stage import (
+    PAPER_BATCH_SIZE,
+    PAPER_LEARNING_RATE,
+    ROBUST_BATCH_SIZE,
+    ROBUST_WARMUP,
+    check_given_score,
+    frozen_score,
+    learn_score,
 )
 from sgvf_drake.learning.self_check import SelfCheck, check_field
 from sgvf_drake.learning.support import Support, find_support
-from sgvf_drake.learning.tangent import Score, paper_tangent_loss, robust_tangent_loss
+from sgvf_drake.learning.tangent import paper_tangent_loss, robust_tangent_loss
 from sgvf_drake.paths import PointCloud
 from sgvf_drake.progress import Progress, no_progress
 
-# Paper, Section V-A.
-PAPER_BATCH_SIZE = 512
-PAPER_LEARNING_RATE = 1e-3
-
-ROBUST_BATCH_SIZE = 256
-ROBUST_SCORE_LEARNING_RATE = 1e-2
 ROBUST_TANGENT_LEARNING_RATE = 5e-3
-ROBUST_WARMUP = 50
-ROBUST_FREQUENCIES = 32
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +75,7 @@ def train(
     cloud: PointCloud,
     config: TrainingConfig | None = None,
     progress: Progress = no_progress,
+    score: ScoreNetwork | None = None,
 ) -> TrainingResult:
     """Trains a guiding field for a cloud of waypoints.
 
@@ -90,14 +88,25 @@ def train(
         cloud: The waypoints, in any order and any unit.
         config: The recipe and its overrides; None: the robust recipe, seed 0.
         progress: Called with (stage, done, total) now and then.
+        score: The `score_model` of a field that was trained on the same cloud at the same
+            noise level.  It is kept as it is, in every attempt, and only the tangent is
+            trained; where it came from a first attempt with the same seed and the same
+            options of the score, the tangent is the one of a run that trains both.
+
+    Raises:
+        ConfigurationError: The options do not fit the cloud, or the score does not.
     """
     wall, cpu = time.perf_counter(), time.process_time()
     config = config or TrainingConfig()
+    if score is not None:
+        check_given_score(score, config.recipe, cloud.dim)
     support = _directed_support(cloud, config)
     settings = config.resolved(support.sigma)
     for attempt in range(settings.max_restarts + 1):
         with _torch_session(settings.seed, attempt):
-            field, history = _train_once(cloud, support, settings.grown(attempt), progress)
+            field, history = _train_once(
+                cloud, support, settings.grown(attempt), score, progress
+            )
         self_check = check_field(field, support)
         if self_check.passed:
             break
@@ -133,17 +142,24 @@ def _directed_support(cloud: PointCloud, config: TrainingConfig) -> Support:
 
 
 def _train_once(
-    cloud: PointCloud, support: Support, settings: Settings, progress: Progress
+    cloud: PointCloud,
+    support: Support,
+    settings: Settings,
+    score: ScoreNetwork | None,
+    progress: Progress,
 ) -> tuple[GuidingField, pd.DataFrame]:
     if settings.recipe == "paper":
         # To the letter: from the waypoints as they are.
-        parts = _fit_paper(cloud.normalize(cloud.points), settings, progress)
+        parts = _fit_paper(cloud.normalize(cloud.points), settings, score, progress)
         points = ends = None
     else:
-        parts = _fit_robust(support, settings, progress)
+        parts = _fit_robust(support, settings, score, progress)
         points = cloud.denormalize(support.points)
         last = [piece.order[-1] for piece in support.pieces if not piece.closed]
         ends = points[last] if last else None
+    provenance: dict[str, Any] = {"training": asdict(settings)}
+    if score is not None:
+        provenance["score"] = "given"
     field = GuidingField(
         cloud=cloud,
         sigma=settings.sigma_min,
@@ -154,7 +170,7 @@ def _train_once(
         seed=settings.seed,
         support=points,
         end_points=ends,
-        provenance={"training": asdict(settings)},
+        provenance=provenance,
     )
     return field, pd.concat(parts.histories, ignore_index=True)
 
@@ -169,53 +185,57 @@ class _Parts:
     histories: list[pd.DataFrame]
 
 
-def _fit_paper(points: FloatArray, settings: Settings, progress: Progress) -> _Parts:
+def _fit_paper(
+    points: FloatArray, settings: Settings, score: ScoreNetwork | None, progress: Progress
+) -> _Parts:
     """Algorithms 1 and 2 to the letter; the spanning tree is not asked."""
     dim = points.shape[1]
     data = torch.as_tensor(points, dtype=torch.float32)
-    schedule = NoiseSchedule(settings.sigma_min)
-    batch, rate = PAPER_BATCH_SIZE, PAPER_LEARNING_RATE
-
-    score = Network(dim + 1, settings.score_hidden, dim)
-    losses = paper_score_loss(score, data, schedule, batch)
-    steps = Optimization(settings.score_iterations, rate)
-    score_history = optimize(score, losses, steps, "score", progress)
-
+    score, histories = learn_score(data, settings, score, progress)
     tangent = Network(dim, settings.tangent_hidden, dim)
-    frozen = _score_at_data_end(score, scale=1.0)
-    losses = paper_tangent_loss(tangent, frozen, data, schedule, settings.gain, batch)
-    steps = Optimization(settings.tangent_iterations, rate)
-    tangent_history = optimize(tangent, losses, steps, "tangent", progress)
-    return _Parts(
-        score_model=ScoreNetwork(score.to_perceptron(), 1.0),
-        tangent=tangent,
-        composition=PaperComposition(settings.gain),
-        histories=[score_history, tangent_history],
+    losses = paper_tangent_loss(
+        tangent,
+        frozen_score(score),
+        data,
+        NoiseSchedule(settings.sigma_min),
+        settings.gain,
+        PAPER_BATCH_SIZE,
+        settings.weights,
     )
+    steps = Optimization(settings.tangent_iterations, PAPER_LEARNING_RATE)
+    histories.append(optimize(tangent, losses, steps, "tangent", progress))
+    return _Parts(score, tangent, PaperComposition(settings.gain), histories)
 
 
-def _fit_robust(support: Support, settings: Settings, progress: Progress) -> _Parts:
+def _fit_robust(
+    support: Support, settings: Settings, score: ScoreNetwork | None, progress: Progress
+) -> _Parts:
     """The robust recipe, and the exact one: the same tangent on the closed-form score."""
     points = support.points
     dim = points.shape[1]
     data = torch.as_tensor(points, dtype=torch.float32)
     sigma = settings.sigma_min
-    histories = []
+    histories: list[pd.DataFrame] = []
     score_model: ScoreNetwork | GaussianMixture
     if settings.recipe == "exact":
         score_model = GaussianMixture(points, sigma)
-        frozen: Score = lambda x: mixture_score(x, sigma, data)  # noqa: E731
+        frozen: Function = lambda x: mixture_score(x, sigma, data)  # noqa: E731
     else:
-        network, history = _fit_robust_score(data, sigma, settings, progress)
-        score_model = ScoreNetwork(network.to_perceptron(), sigma)
-        frozen = _score_at_data_end(network, scale=sigma)
-        histories.append(history)
+        score_model, histories = learn_score(data, settings, score, progress)
+        frozen = frozen_score(score_model)
 
     hint = torch.as_tensor(orientation_hint(points, support.pieces, sigma), dtype=torch.float32)
     tangent = Network(
-        dim, settings.tangent_hidden, dim, ROBUST_FREQUENCIES, settings.frequency_std
+        dim,
+        settings.tangent_hidden,
+        dim,
+        settings.num_frequencies,
+        settings.frequency_std,
+        scaled=True,
     )
-    losses = robust_tangent_loss(tangent, frozen, data, hint, sigma, ROBUST_BATCH_SIZE)
+    losses = robust_tangent_loss(
+        tangent, frozen, data, hint, sigma, ROBUST_BATCH_SIZE, settings.weights
+    )
     steps = Optimization(
         settings.tangent_iterations,
         ROBUST_TANGENT_LEARNING_RATE,
@@ -223,38 +243,8 @@ def _fit_robust(support: Support, settings: Settings, progress: Progress) -> _Pa
         cosine=True,
     )
     histories.append(optimize(tangent, losses, steps, "tangent", progress))
-    composition = RobustComposition(settings.gain, sigma)
+    composition = RobustComposition(settings.gain, sigma, projects=settings.projection)
     return _Parts(score_model, tangent, composition, histories)
-
-
-def _fit_robust_score(
-    data: Tensor, sigma: float, settings: Settings, progress: Progress
-) -> tuple[Network, pd.DataFrame]:
-    dim = data.shape[1]
-    network = Network(
-        dim + 1,
-        settings.score_hidden,
-        dim,
-        ROBUST_FREQUENCIES,
-        settings.frequency_std,
-        has_time=True,
-    )
-    losses = robust_score_loss(network, data, NoiseSchedule(sigma), ROBUST_BATCH_SIZE)
-    steps = Optimization(
-        settings.score_iterations,
-        ROBUST_SCORE_LEARNING_RATE,
-        ROBUST_WARMUP,
-        cosine=True,
-    )
-    return network, optimize(network, losses, steps, "score", progress)
-
-
-def _score_at_data_end(network: Network, scale: float) -> Score:
-    def score(x: Tensor) -> Tensor:
-        with torch.no_grad():
-            return network(torch.cat([x, torch.ones(len(x), 1)], dim=1)) / scale
-
-    return score
 
 
 @contextmanager

@@ -30,6 +30,7 @@ COMPOSITIONS = {
     "paper": PaperComposition(0.8),
     "normalised": NormalisedComposition(0.8),
     "robust": RobustComposition(0.8, 0.4),
+    "unprojected": RobustComposition(0.8, 0.4, projects=False),
     "resting": RobustComposition(0.8, 0.4, projects=False, tangent_share=0.3),
 }
 

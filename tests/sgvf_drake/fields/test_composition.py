@@ -14,8 +14,11 @@ from sgvf_drake.fields import (
 SIGMA = 0.1
 PAPER, ROBUST = PaperComposition(0.2), RobustComposition(0.2, SIGMA)
 NORMALISED = NormalisedComposition(0.2)
+UNPROJECTED = RobustComposition(0.2, SIGMA, projects=False)
 EACH = pytest.mark.parametrize(
-    "compose", [PAPER, ROBUST, NORMALISED], ids=["paper", "robust", "normalised"]
+    "compose",
+    [PAPER, ROBUST, NORMALISED, UNPROJECTED],
+    ids=["paper", "robust", "normalised", "unprojected"],
 )
 BOTH = pytest.mark.parametrize("compose", [PAPER, ROBUST], ids=["paper", "robust"])
 
@@ -122,6 +125,21 @@ def test_the_projection_ends_at_three_noise_levels():
     S = 3 / SIGMA * v
     m = ROBUST.value(S, 1e7 * v)
     np.testing.assert_allclose(m[0, 0], np.tanh(0.2 * 15) + 1 / np.cosh(0.2 * 15), rtol=1e-12)
+
+
+def test_without_the_projection_the_whole_score_counts_everywhere():
+    S, N = arguments(score_scale=3.0)
+    size = np.linalg.norm(S, axis=1, keepdims=True)
+    s, v = UNPROJECTED.components(S, N)
+    np.testing.assert_allclose(s, np.tanh(0.2 * size) * S / size, rtol=1e-13)
+    unit = N / np.hypot(np.linalg.norm(N, axis=1, keepdims=True), 0.05)
+    np.testing.assert_allclose(v, unit / np.cosh(0.2 * size), rtol=1e-13)
+    # Against the tangent it can stop the robot: tanh(k |S|) = sech(k |S|).
+    stop = np.arcsinh(1) / 0.2
+    forward = np.array([[1e7, 0.0]])
+    against = np.array([[-stop, 0.0]])
+    np.testing.assert_allclose(UNPROJECTED.value(against, forward), 0, atol=1e-9)
+    assert np.linalg.norm(ROBUST.value(against, forward)) > 0.99
 
 
 def test_paper_adds_without_renormalising():

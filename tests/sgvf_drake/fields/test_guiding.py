@@ -1,4 +1,5 @@
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -48,7 +49,7 @@ def torch_field(field, x):
     if field.recipe == "paper":
         return torch.tanh(k * S.norm()) * S / S.norm() + N
     v = N / torch.sqrt(N @ N + 0.05**2)
-    g = 1 / (1 + (field.sigma * S.norm() / 3) ** 8)
+    g = 1 / (1 + (field.sigma * S.norm() / 3) ** 8) if field.composition.projects else 0.0
     normal = S - g * (S @ v) * v
     size = normal.norm()
     return torch.tanh(k * size) * normal / size + v / torch.cosh(k * size)
@@ -75,6 +76,29 @@ def test_automatic_analytic_and_numeric_jacobians_agree(field):
     h = 1e-5 * field.cloud.unit_length
     numeric = [(field(x + h * e) - field(x - h * e)) / (2 * h) for e in np.eye(2)]
     np.testing.assert_allclose(J, np.stack(numeric, axis=2), atol=1e-6 * scale)
+
+
+@pytest.mark.parametrize("recipe", ["robust", "exact"])
+def test_the_field_without_the_projection(make_field, recipe):
+    """Value, Jacobian and Hessian, against the formulas; also in another unit."""
+    projected = make_field(recipe)
+    bare = replace(projected, composition=replace(projected.composition, projects=False))
+    x = queries(bare, n=10)
+    written = partial(torch_field, bare)
+    for row, m, J, H in zip(
+        x, bare(x), bare.value_and_jacobian(x)[1], bare.hessian(x), strict=True
+    ):
+        point = torch.as_tensor(row)
+        slope = torch.autograd.functional.jacobian(written, point)
+        np.testing.assert_allclose(m, written(point), rtol=1e-11, atol=1e-12)
+        np.testing.assert_allclose(J, slope, rtol=1e-9, atol=1e-11)
+        bend = [
+            torch.autograd.functional.hessian(lambda row, i=i: written(row)[i], point)
+            for i in range(2)
+        ]
+        np.testing.assert_allclose(H, np.stack(bend), rtol=1e-8, atol=1e-10)
+    np.testing.assert_array_equal(bare.rescaled(4.0)(4 * x), bare(x))
+    assert not bare.with_approach_length(2.0).composition.projects
 
 
 def test_hessian_is_the_derivative_of_the_jacobian(field):

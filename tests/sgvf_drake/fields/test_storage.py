@@ -16,6 +16,7 @@ from sgvf_drake.fields import (
     GaussianMixture,
     NormalisedComposition,
     PaperComposition,
+    RobustComposition,
     load_field,
     save_field,
 )
@@ -166,6 +167,23 @@ def test_a_normalised_field_stays_one(make_field, tmp_path):
     assert loaded.composition == NormalisedComposition(0.3)
     x = np.random.default_rng(0).uniform(-2, 8, (20, 2))
     np.testing.assert_array_equal(loaded(x), field(x))
+
+
+@pytest.mark.parametrize("ends", [0, 2])
+@pytest.mark.parametrize("recipe", ["robust", "exact"])
+def test_a_field_without_the_projection_stays_one(make_field, tmp_path, recipe, ends):
+    projected = make_field(recipe, ends=ends)
+    bare = replace(projected, composition=RobustComposition(0.8, 0.4, projects=False))
+    bare.save(tmp_path / "field")
+    # Those who know no such field find a composition that they do not know.
+    assert read_header((tmp_path / "field").read_bytes())["composition"] == "unprojected"
+    loaded = load_field(tmp_path / "field")
+    assert loaded.composition == bare.composition
+    x = np.random.default_rng(0).uniform(1, 5, (20, 2))
+    np.testing.assert_array_equal(loaded.hessian(x), bare.hessian(x))
+    assert np.abs(projected(x) - loaded(x)).max() > 1e-3
+    loaded.save(tmp_path / "again")
+    assert (tmp_path / "again").read_bytes() == (tmp_path / "field").read_bytes()
 
 
 def test_files_of_version_1_are_read(field, tmp_path):

@@ -31,6 +31,22 @@ OF_THE_PATH = {"open", "direction", "start"}
         ),
         *(
             (name, value)
+            for name in (
+                "unit_weight",
+                "orthogonality_weight",
+                "direction_weight",
+                "hint_weight",
+            )
+            for value in (-1e-9, -1, float("nan"), float("inf"), "1", [1.0])
+        ),
+        *(("num_frequencies", value) for value in (-1, 32.0, "32", (32,), float("nan"))),
+        *(
+            (name, value)
+            for name in ("exact_target", "projection")
+            for value in (0, 1, "yes", np.True_)
+        ),
+        *(
+            (name, value)
             for name in ("score_iterations", "tangent_iterations")
             for value in (0, -5, 10.0, 10.5, float("inf"), "100")
         ),
@@ -104,6 +120,45 @@ def test_the_papers_values():
     assert (settings.gain, settings.sigma_min, settings.max_restarts) == (0.2, 0.1, 0)
 
 
+def test_the_losses_of_the_recipes():
+    """Those of the paper's Section V-A, and what the design settles for the others."""
+    paper = TrainingConfig(recipe="paper").resolved(SIGMA)
+    assert paper.weights == {"unit": 1, "orthogonality": 1, "direction": 1, "hint": 0}
+    assert (paper.exact_target, paper.num_frequencies, paper.projection) == (False, 0, False)
+    for recipe in ("robust", "exact"):
+        settings = TrainingConfig(recipe=recipe).resolved(SIGMA)
+        weights = {"unit": 0.3, "orthogonality": 1, "direction": 1, "hint": 3}
+        assert settings.weights == weights
+        assert (settings.num_frequencies, settings.projection) == (32, True)
+    assert TrainingConfig().resolved(SIGMA).exact_target is True
+
+
+@pytest.mark.parametrize(
+    ("recipe", "name", "value"),
+    [
+        ("paper", "hint_weight", 0.0),
+        ("paper", "hint_weight", 3.0),
+        ("paper", "num_frequencies", 0),
+        ("paper", "projection", False),
+        ("exact", "exact_target", True),
+        ("exact", "exact_target", False),
+    ],
+)
+def test_what_means_nothing_in_a_recipe_is_refused(recipe, name, value):
+    """Even where it asks for what the recipe does."""
+    with pytest.raises(ConfigurationError, match=f"^{name} is not for the recipe {recipe}, "):
+        TrainingConfig(recipe=recipe, **{name: value})
+
+
+def test_some_loss_is_needed():
+    none = dict.fromkeys(("unit_weight", "orthogonality_weight", "direction_weight"), 0)
+    with pytest.raises(ConfigurationError, match="every loss of the tangent has weight 0"):
+        TrainingConfig(recipe="paper", **none)
+    assert TrainingConfig(**none).resolved(SIGMA).weights["hint"] == 3
+    with pytest.raises(ConfigurationError, match="every loss of the tangent has weight 0"):
+        TrainingConfig(**none, hint_weight=0.0)
+
+
 def test_the_robust_values_follow_the_cloud():
     settings = TrainingConfig().resolved(SIGMA)
     assert settings.sigma_min == SIGMA
@@ -123,10 +178,17 @@ def test_what_is_given_is_kept():
         "sigma_min": 0.3,
         "gain": 0.7,
         "frequency_std": 1.5,
+        "num_frequencies": 0,
+        "exact_target": False,
         "score_hidden": (8, 9),
         "score_iterations": 11,
         "tangent_hidden": (7,),
         "tangent_iterations": 12,
+        "unit_weight": 0.0,
+        "orthogonality_weight": 2.5,
+        "direction_weight": 0.5,
+        "hint_weight": 7.0,
+        "projection": False,
     }
     assert asdict(TrainingConfig(**given).resolved(SIGMA)) == given
     assert TrainingConfig(sigma_min=0.3).resolved(SIGMA).gain == pytest.approx(0.6)

@@ -10,6 +10,7 @@ from sgvf_drake.learning.score_matching import (
     DATA_END_SHARE,
     compress,
     mixture_score,
+    noisy_score_loss,
     paper_score_loss,
     robust_score_loss,
 )
@@ -182,3 +183,77 @@ def test_algorithm_1_perturbs_a_waypoint_by_the_noise_of_its_time(points):
     # The standard error of a standard deviation is 1 / sqrt(2 n) = .004.
     assert noise.std() == pytest.approx(1, abs=0.016)
     torch.testing.assert_close(value, (noise / sigma).square().sum(dim=1).mean())
+
+
+def batch_and_target(make_loss, points, schedule, n, **options):
+    """Inputs of a batch, and the target that the loss compares the outputs with.
+
+    Read off the gradient of a mean of squares at zero: -2 / n times the target.
+    """
+    seen = []
+
+    def network(inputs):
+        seen.extend([inputs, torch.zeros(n, 2, requires_grad=True)])
+        return seen[1]
+
+    make_loss(network, points, schedule, n, **options)()["score"].backward()
+    inputs, output = seen
+    return inputs, -output.grad * n / 2
+
+
+def largest_residual(inputs, target, mean):
+    """The largest of 32 standard scores of E[target - mean], over bins of x and t."""
+    residual = (target - mean).double()
+    x, t = inputs[:, :2], inputs[:, 2]
+    label = 4 * (x[:, 0] > x[:, 0].median()).long() + 2 * (x[:, 1] > x[:, 1].median())
+    label += t > t.median()
+    groups = [residual[label == k] for k in range(8) if (label == k).sum() > 1]
+    return max(
+        (group.mean(dim=0) / group.std(dim=0) * len(group) ** 0.5).abs().max().item()
+        for group in groups
+    )
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("make_loss", [noisy_score_loss, paper_score_loss])
+def test_the_noisy_targets_have_the_exact_ones_as_their_mean(make_loss, seed):
+    """That of the robust recipe is the score times sigma, that of the paper's the score."""
+    points = torch.tensor([[0.0, 0.0], [1.0, 0.2], [1.3, 0.9], [-0.5, 0.7], [0.1, 0.1]])
+    schedule = NoiseSchedule(0.4)
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        inputs, target = batch_and_target(make_loss, points, schedule, 100_000)
+    sigma = schedule(inputs[:, 2:])
+    factor = sigma if make_loss is noisy_score_loss else 1.0
+    mean = factor * mixture_score(inputs[:, :2], sigma, points)
+    assert (target - mean).abs().mean() > 0.1
+    # At most 16 normal numbers exceed 4.5 with a chance of 1e-4.
+    assert largest_residual(inputs, target, mean) < 4.5
+    wrong = factor * mixture_score(inputs[:, :2], 1.1 * sigma, points)
+    assert largest_residual(inputs, target, wrong) > 6
+
+
+@pytest.mark.usefixtures("seeded")
+def test_the_papers_draws_with_the_exact_target(points):
+    schedule = NoiseSchedule(0.1)
+    options = {"n": 500, "exact": True}
+    torch.manual_seed(3)
+    inputs, target = batch_and_target(paper_score_loss, points, schedule, **options)
+    sigma = schedule(inputs[:, 2:])
+    torch.testing.assert_close(target, mixture_score(inputs[:, :2], sigma, points))
+    torch.manual_seed(3)
+    noisy_inputs, _ = batch_and_target(paper_score_loss, points, schedule, 500)
+    torch.testing.assert_close(noisy_inputs, inputs, rtol=0, atol=0)
+
+
+@pytest.mark.usefixtures("seeded")
+def test_a_noisy_batch_is_perturbed_by_the_noise_of_its_own_time(points):
+    schedule = NoiseSchedule(0.1)
+    inputs, target = batch_and_target(noisy_score_loss, points[:1], schedule, 20_000)
+    x, t = inputs[:, :2], inputs[:, 2:]
+    assert (t == 1).sum() == round(DATA_END_SHARE * 20_000)
+    # x is the waypoint less sigma times the target -eps, in single precision.
+    torch.testing.assert_close(x, points[0] - schedule(t) * target, rtol=0, atol=1e-4)
+    at_end = (x - points[0])[t[:, 0] == 1]
+    # The standard error of a standard deviation is sigma / sqrt(2 n) = 6e-4.
+    assert at_end.std() == pytest.approx(0.1, abs=2.4e-3)

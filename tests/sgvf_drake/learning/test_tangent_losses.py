@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 import torch
 
+from sgvf_drake.learning import tangent
 from sgvf_drake.learning.networks import Network
 from sgvf_drake.learning.schedule import NoiseSchedule
 from sgvf_drake.learning.tangent import paper_tangent_loss, robust_tangent_loss
@@ -13,12 +14,27 @@ from sgvf_drake.learning.tangent_losses import (
     unit_length_loss,
 )
 
+ONES = {"unit": 1.0, "orthogonality": 1.0, "direction": 1.0, "hint": 1.0}
+PAPER_TERMS, ROBUST_TERMS = list(ONES)[:3], list(ONES)
+EACH_TERM = pytest.mark.parametrize(
+    ("recipe", "name"),
+    [("paper", name) for name in PAPER_TERMS] + [("robust", name) for name in ROBUST_TERMS],
+)
+
 
 @pytest.fixture
 def seeded():
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(9)
         yield
+
+
+@pytest.fixture
+def double():
+    """Networks and draws in float64, so that sums of gradients can be compared."""
+    torch.set_default_dtype(torch.float64)
+    yield
+    torch.set_default_dtype(torch.float32)
 
 
 @pytest.fixture(params=[2, 3])
@@ -121,7 +137,7 @@ def test_gradients_at_zero_are_finite(loss):
 @pytest.mark.usefixtures("seeded")
 def test_algorithm_2_has_the_papers_three_terms():
     network, points = Network(2, (8,), 2), torch.randn(20, 2)
-    loss = paper_tangent_loss(network, lambda x: -x, points, NoiseSchedule(0.1), 0.2, 64)
+    loss = paper_tangent_loss(network, lambda x: -x, points, NoiseSchedule(0.1), 0.2, 64, ONES)
     terms = loss()
     assert list(terms) == ["unit", "orthogonality", "direction"]
     assert all(term.requires_grad for term in terms.values())
@@ -133,6 +149,7 @@ def test_algorithm_2_has_the_papers_three_terms():
         NoiseSchedule(0.1),
         0.2,
         64,
+        ONES,
     )()
     assert turned["orthogonality"] < 1e-12
     assert turned["unit"] > 0.01
@@ -148,7 +165,8 @@ def test_waypoints_without_a_hint_are_left_out():
         seen.append(x)
         return torch.tensor([[0.0, 1.0]]).expand(len(x), 2)
 
-    terms = robust_tangent_loss(network, lambda x: -x, points, hint, 0.1, 100)()
+    weights = ONES | {"hint": 3.0}
+    terms = robust_tangent_loss(network, lambda x: -x, points, hint, 0.1, 100, weights)()
     assert list(terms) == ["unit", "orthogonality", "direction", "hint"]
     at_waypoints = seen[-1]
     torch.testing.assert_close(at_waypoints, points[:1].expand(60, 2))
@@ -156,3 +174,55 @@ def test_waypoints_without_a_hint_are_left_out():
     assert terms["hint"].item() == pytest.approx(3)
     assert terms["unit"].item() == pytest.approx(0)
     assert terms["direction"].item() == pytest.approx(0, abs=1e-6)
+
+
+def terms_and_gradients(recipe, weights):
+    """The loss terms of one batch, always the same, and the gradient of their sum."""
+    torch.manual_seed(4)
+    network, points = Network(2, (8,), 2), torch.randn(20, 2)
+    hint = torch.randn(20, 2)
+    losses = (
+        paper_tangent_loss(network, score, points, NoiseSchedule(0.1), 0.2, 64, weights)
+        if recipe == "paper"
+        else robust_tangent_loss(network, score, points, hint, 0.1, 64, weights)
+    )
+    terms = losses()
+    torch.stack(list(terms.values())).sum().backward()
+    values = {name: term.item() for name, term in terms.items()}
+    gradients = [parameter.grad for parameter in network.parameters()]
+    return values, torch.cat([gradient.ravel() for gradient in gradients])
+
+
+def score(x):
+    return torch.stack([-x[:, 0], -2 * x[:, 1]], dim=1)
+
+
+@pytest.mark.usefixtures("seeded", "double")
+@EACH_TERM
+def test_a_loss_of_weight_zero_is_not_computed_and_leaves_the_others(recipe, name, monkeypatch):
+    full, whole = terms_and_gradients(recipe, ONES)
+    alone = {other: float(other == name) for other in ONES}
+    _, part = terms_and_gradients(recipe, alone)
+    assert part.abs().max() > 1e-4
+    functions = {
+        "unit": "unit_length_loss",
+        "orthogonality": "orthogonality_loss",
+        "direction": "directional_consistency_loss",
+        "hint": "orientation_loss",
+    }
+    monkeypatch.setattr(tangent, functions[name], lambda *_: pytest.fail("it was computed"))
+    values, rest = terms_and_gradients(recipe, ONES | {name: 0.0})
+    # On the same draws.
+    assert values == {other: value for other, value in full.items() if other != name}
+    torch.testing.assert_close(rest, whole - part, rtol=0, atol=1e-13)
+
+
+@pytest.mark.usefixtures("seeded", "double")
+@EACH_TERM
+def test_a_weight_scales_its_loss_alone(recipe, name):
+    full, whole = terms_and_gradients(recipe, ONES)
+    values, gradient = terms_and_gradients(recipe, ONES | {name: 4.0})
+    # A power of two: to the last bit.
+    assert values == full | {name: 4 * full[name]}
+    _, part = terms_and_gradients(recipe, {other: float(other == name) for other in ONES})
+    torch.testing.assert_close(gradient, whole + 3 * part, rtol=0, atol=1e-13)

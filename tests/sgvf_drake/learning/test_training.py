@@ -391,3 +391,68 @@ def test_coincident_waypoints_are_no_crash():
     result = train(doubled, short())
     assert np.isfinite(result.field(doubled.points)).all()
     assert len(result.self_check.pieces) == 1
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(
+    ("recipe", "name", "term"),
+    [
+        *(("paper", f"{term}_weight", term) for term in ("unit", "orthogonality", "direction")),
+        *(("robust", f"{term}_weight", term) for term in ("unit", "direction", "hint")),
+    ],
+)
+def test_a_loss_of_weight_zero_leaves_the_history(concentric, recipe, name, term):
+    config = short(recipe=recipe, score_iterations=1, tangent_iterations=2, **{name: 0.0})
+    result = train(concentric[0], config)
+    tangent = result.history[result.history["stage"] == "tangent"].dropna(axis=1)
+    weights = result.settings.weights
+    on = [other for other, weight in weights.items() if weight > 0]
+    assert term not in on
+    assert set(tangent.columns) == {"stage", "iteration", "total", *on}
+    np.testing.assert_allclose(tangent["total"], tangent[on].sum(axis=1), rtol=1e-5)
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_a_weight_scales_its_term_of_the_total(concentric):
+    first = [
+        train(concentric[0], short(recipe="exact", tangent_iterations=1, hint_weight=weight))
+        .history.iloc[0]
+        .drop("stage")
+        for weight in (1.0, 8.0)
+    ]
+    assert first[1]["hint"] == 8 * first[0]["hint"]
+    assert first[1]["total"] - first[0]["total"] == pytest.approx(
+        7 * first[0]["hint"], rel=1e-5
+    )
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_the_options_of_the_ablations_reach_the_field(concentric, tmp_path):
+    cloud, _ = concentric
+    config = short(exact_target=False, num_frequencies=0, projection=False)
+    field = train(cloud, config).field
+    assert field.score_model.network.features is field.tangent_network.features is None
+    assert field.score_model.network.weights[0].shape == (64, 3)
+    assert field.tangent_network.weights[0].shape == (64, 2)
+    assert field.composition == RobustComposition(
+        field.composition.gain, field.sigma, projects=False
+    )
+    field.save(tmp_path / "field")
+    loaded = load_field(tmp_path / "field")
+    np.testing.assert_array_equal(loaded(cloud.points), field(cloud.points))
+    exact = train(cloud, short(recipe="exact", num_frequencies=5, projection=False)).field
+    assert exact.tangent_network.features.frequencies.shape == (5, 2)
+    assert not exact.composition.projects
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("recipe", ["robust", "paper"])
+def test_the_noisy_and_the_exact_target_make_two_scores(concentric, recipe):
+    one, other = (
+        train(concentric[0], short(recipe=recipe, tangent_iterations=1, exact_target=exact))
+        for exact in (True, False)
+    )
+    default = train(concentric[0], short(recipe=recipe, tangent_iterations=1))
+    same, differs = (one, other) if recipe == "robust" else (other, one)
+    np.testing.assert_array_equal(weights(default.field), weights(same.field))
+    assert (weights(default.field) != weights(differs.field)).mean() > 0.5
