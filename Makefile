@@ -10,7 +10,10 @@ AS_ROOT := $(if $(filter 0,$(shell id -u)),,sudo)
 export OMP_NUM_THREADS ?= 1
 export MPLBACKEND ?= Agg
 
-.PHONY: demo test browser check format bench bench-learning clean
+# Material for MkDocs advertises its successor at every build.
+export NO_MKDOCS_2_WARNING := 1
+
+.PHONY: demo test browser check docs format bench bench-learning clean
 
 demo: $(VENV)/.run-time
 	$(BIN)/sgvf demo --out demo --overwrite
@@ -28,6 +31,11 @@ check: $(VENV)/.development
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/mkdocs build --strict --site-dir build/site
+
+# The site with what the notebooks print and draw, which takes some minutes.
+docs: $(VENV)/.development
+	SGVF_DOCS_EXECUTE=true $(BIN)/mkdocs build --strict
 
 format: $(VENV)/.development
 	$(BIN)/ruff format .
@@ -40,7 +48,7 @@ bench-learning: $(VENV)/.development
 	$(BIN)/python -m sgvf_drake.experiments.quality --out build/bench-learning --suite full
 
 clean:
-	rm -rf $(VENV) demo build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) demo build site dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
 
 $(VENV)/.run-time: pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)

@@ -10,6 +10,8 @@ from sgvf_drake.learning.scales import SIGMA_DEFAULT
 
 Recipe = Literal["paper", "robust", "exact"]
 RECIPES: tuple[Recipe, ...] = get_args(Recipe)
+"""The names of the recipes."""
+
 # k_s of the robust composition, in noise levels; it is the paper's 0.2 at a sigma of 0.1.
 GAIN_PER_SIGMA = 2.0
 # Of the robust recipe at the default noise level; a finer level takes more of each.
