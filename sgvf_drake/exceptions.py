@@ -27,3 +27,7 @@ class OutputExistsError(SgvfError, FileExistsError):
 
 class NonFiniteValueError(SgvfError, ArithmeticError):
     """A system met a NaN or an infinity; the message names the system and the time."""
+
+
+class ExperimentError(SgvfError):
+    """Trials of an experiment failed; the others ran, and what they measured is stored."""

@@ -1,6 +1,10 @@
-"""Fields that several test packages share: small random ones, and trained ones."""
+"""What several test packages share: fields, and experiments that take no time."""
 
+from contextlib import contextmanager
+import dataclasses
+from dataclasses import dataclass
 from itertools import pairwise
+import json
 
 import numpy as np
 import pytest
@@ -123,3 +127,110 @@ def exact_result(concentric):
     from sgvf_drake.learning import TrainingConfig, train
 
     return train(concentric[0], TrainingConfig(recipe="exact"))
+
+
+@dataclass(frozen=True)
+class FakeTrial:
+    seed: int
+    size: int
+
+
+MEASURED = []
+"""The trials that `measure_fake` has measured."""
+
+
+def measure_fake(trial, folder):
+    MEASURED.append(trial)
+    (folder / "note.txt").write_text(str(trial))
+    if trial.size < 0:
+        raise ValueError(f"the size cannot be {trial.size}")
+    return {"square": trial.seed**2 * trial.size}
+
+
+@dataclass
+class FakeExperiment:
+    """Draws, tabulates and claims in no time what its options say."""
+
+    seeds: list[int] = dataclasses.field(default_factory=lambda: [0, 1])
+    size: int = 3
+    exhibit: str = "squares"
+    verdict: str = "holds"
+    statement: str = "Squares grow."
+    error: str = ""
+
+    def run(self, bench):
+        # Imported here: most tests do without them.
+        from matplotlib.figure import Figure
+        import pandas as pd
+
+        from sgvf_drake.experiments.outcome import Claim, Exhibit, Outcome, Verdict
+
+        trials = [FakeTrial(seed, self.size) for seed in self.seeds]
+        records = bench.run(measure_fake, trials, "squaring")
+        if self.error:
+            raise RuntimeError(self.error)
+        table = pd.DataFrame([record.row for record in records])
+        figure = Figure(figsize=(4, 3))
+        figure.subplots().plot(table["square"])
+        claim = Claim("grow", "Section IX", self.statement, Verdict(self.verdict), "They do.")
+        return Outcome(
+            [
+                Exhibit(self.exhibit, "How squares grow.", figure),
+                Exhibit(f"{self.exhibit}_table", "The same in numbers.", table),
+            ],
+            [claim],
+            {"largest": table["square"].max()},
+            {"log": table},
+        )
+
+
+class FakeScenarios:
+    """Stands in for the scenarios of the package."""
+
+    kind = FakeExperiment
+    measured = MEASURED
+
+    def __init__(self, folder):
+        self.folder = folder
+
+    def write(self, name, quick="size: 1", **options):
+        """Writes a scenario with these options, and an override `quick`."""
+        values = {"size": 3, **options}
+        path = self.folder / f"{name}.yaml"
+        # JSON is YAML.
+        path.write_text(
+            f"scenario:\n"
+            f"  title: Title of {name}\n"
+            f"  source: Fig. 9\n"
+            f"  experiment: !FakeExperiment {json.dumps(values)}\n"
+            f"quick:\n"
+            f"  experiment: !FakeExperiment {{{quick}}}\n"
+        )
+        return path
+
+
+@contextmanager
+def fake_scenarios_in(folder):
+    """Has the scenarios of a folder in place of the package's; see `FakeScenarios.write`."""
+    from sgvf_drake.experiments import scenario
+
+    MEASURED.clear()
+    kinds = scenario.NoExperiment | FakeExperiment
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(scenario.Scenario.__dataclass_fields__["experiment"], "type", kinds)
+        patch.setattr(scenario, "KINDS", (FakeExperiment,))
+        patch.setattr(scenario, "_PACKAGED", folder)
+        yield FakeScenarios(folder)
+
+
+@pytest.fixture(scope="session")
+def replace_scenarios():
+    """Has other scenarios for a while; see `fake_scenarios_in`."""
+    return fake_scenarios_in
+
+
+@pytest.fixture
+def fake_scenarios(tmp_path_factory):
+    """Other scenarios for one test; see `FakeScenarios.write`."""
+    with fake_scenarios_in(tmp_path_factory.mktemp("scenarios")) as scenarios:
+        yield scenarios

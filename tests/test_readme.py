@@ -11,7 +11,10 @@ import typer
 from sgvf_drake import cli, load_field, make_shape
 
 ROOT = Path(__file__).parents[1]
-COMMANDS = {"train", "import", "follow", "fly", "verify", "singularities", "demo"}
+COMMANDS = {
+    *("train", "import", "follow", "fly", "verify", "singularities", "demo", "run"),
+    "reproduce",
+}
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
@@ -117,6 +120,8 @@ def test_files_and_folders_are_those_of_the_project():
 
 def test_results_are_named_as_they_are_written():
     from sgvf_drake.experiments.importing import IMPORT_FILES
+    from sgvf_drake.experiments.reproduction import REPORT
+    from sgvf_drake.experiments.running import SCENARIO_FILE, TRIALS
     from sgvf_drake.experiments.runs import FOLLOW_FILES, TOUR_FILES, TRAIN_FILES
     from sgvf_drake.experiments.singularities import SINGULARITIES_FILES
     from sgvf_drake.experiments.verify import VERIFY_FILES
@@ -124,6 +129,7 @@ def test_results_are_named_as_they_are_written():
     written = (
         *(*TRAIN_FILES, *FOLLOW_FILES, *TOUR_FILES),
         *(*IMPORT_FILES, *VERIFY_FILES, *SINGULARITIES_FILES),
+        *(REPORT, SCENARIO_FILE, TRIALS),
     )
     for name in (*written, "flight_N.parquet", "waypoints.csv"):
         assert f"`{name}`" in TEXT, name

@@ -1,4 +1,4 @@
-"""The command line: ``sgvf train | import | follow | fly | verify | singularities | demo``.
+"""The command line: ``sgvf train | follow | fly | verify | ... | run | reproduce``.
 
 Commands parse, call the experiments, and print a table; the work is elsewhere.  The heavy
 imports (Drake, torch, matplotlib) happen inside the commands, so that ``sgvf --help`` and
@@ -13,6 +13,8 @@ from sgvf_drake.cli import flying  # isort: skip
 from sgvf_drake.cli import verifying  # isort: skip
 from sgvf_drake.cli import singularities  # isort: skip
 from sgvf_drake.cli import demonstrating  # isort: skip
+from sgvf_drake.cli import running  # isort: skip
+from sgvf_drake.cli import reproducing  # isort: skip
 from sgvf_drake.cli.application import app, main
 
 __all__ = [
@@ -22,6 +24,8 @@ __all__ = [
     "following",
     "importing",
     "main",
+    "reproducing",
+    "running",
     "singularities",
     "training",
     "verifying",

@@ -10,10 +10,11 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 import typer
 
 from sgvf_drake import __version__
-from sgvf_drake.exceptions import SgvfError
+from sgvf_drake.exceptions import ExperimentError, SgvfError
 from sgvf_drake.progress import Progress as Report
 
-BAD_INPUT = 2
+# Exit statuses.
+FAILED, BAD_INPUT = 1, 2
 
 app = typer.Typer(
     name="sgvf",
@@ -42,13 +43,16 @@ def _options(
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Runs the command line; bad input ends in one line on stderr and exit status 2."""
+    """Runs the command line; what is wrong is told in one line on stderr.
+
+    The exit status is 2 for bad input, and 1 for an experiment of which trials failed.
+    """
     try:
         app(arguments)
     except (SgvfError, OSError) as error:
         # Not as markup: a message may hold brackets.
         errors.print(f"error: {error}", markup=False, highlight=False, soft_wrap=True)
-        sys.exit(BAD_INPUT)
+        sys.exit(FAILED if isinstance(error, ExperimentError) else BAD_INPUT)
 
 
 @contextmanager

@@ -9,6 +9,7 @@ from sgvf_drake.exceptions import ConfigurationError
 
 Out = Annotated[Path, typer.Option(help="Folder of the results.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace results in --out.")]
+Jobs = Annotated[int, typer.Option(help="Processes that run trials at the same time.")]
 FieldPath = Annotated[
     Path, typer.Argument(metavar="FIELD", help="A field file, or the folder of its training.")
 ]

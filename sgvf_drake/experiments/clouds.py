@@ -46,6 +46,15 @@ DENSITY_SAMPLES = 10_001
 HAIRPIN_LENGTH = 8.0
 HAIRPIN_GAP = 0.3
 
+# The trefoil: a smooth curve r(angle) = radius (1 + depth cos 3 angle), not convex.
+TREFOIL_RADIUS = 3.0
+TREFOIL_DEPTH = 0.3
+
+# The fork: three quarter circles of this radius, which meet at equal angles.  They are bent
+# so that the straight way back from a tip does not run along an arm.
+FORK_RADIUS = 3.0
+FORK_ARMS = 3
+
 # Race circuits are a Fourier series r(angle) about a radius, of the half-extent of the
 # larger shapes, so that their noise levels mean the same.
 CIRCUIT_RADIUS = 4.0
@@ -222,6 +231,24 @@ def _hairpin() -> ReferencePath:
     return ReferencePath((Piece(np.concatenate(turns), closed=True),))
 
 
+def _trefoil() -> ReferencePath:
+    angle = 2 * np.pi * np.arange(CURVE_VERTICES) / CURVE_VERTICES
+    radius = TREFOIL_RADIUS * (1 + TREFOIL_DEPTH * np.cos(3 * angle))
+    curve = radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+    return ReferencePath((Piece(curve, closed=True),))
+
+
+def _fork() -> ReferencePath:
+    """Pieces from the middle to the tips: none of the ways through is the path's own."""
+    angle = np.linspace(0, np.pi / 2, CURVE_VERTICES // 4)
+    arm = FORK_RADIUS * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
+    pieces = []
+    for heading in 2 * np.pi * np.arange(FORK_ARMS) / FORK_ARMS:
+        cos, sin = np.cos(heading), np.sin(heading)
+        pieces.append(Piece(arm @ np.array([[cos, sin], [-sin, cos]]), closed=False))
+    return ReferencePath(tuple(pieces))
+
+
 def _circuit(seed: int) -> ReferencePath:
     """A closed curve r(angle) by a Fourier series, with a hairpin folded in at angle zero."""
     rng = np.random.default_rng(seed)
@@ -258,6 +285,8 @@ PATHS: dict[str, Callable[[], ReferencePath]] = {
     "two-sizes": lambda: ReferencePath((_circle(3.0), _circle(0.3))),
     "near-touch": lambda: ReferencePath((_circle(1.9, x=-2.0), _circle(1.9, x=2.0))),
     "hairpin": _hairpin,
+    "trefoil": _trefoil,
+    "fork": _fork,
     **{name: partial(_circuit, seed) for seed, name in enumerate(CIRCUITS, start=1)},
     **{name: partial(_handwriting, name) for name in HANDWRITING},
 }

@@ -1,15 +1,15 @@
 """Follow a field with many kinematic agents, and measure how well."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments.simulation import advance, read_log
-from sgvf_drake.fields import FloatArray, GuidingField
+from sgvf_drake.fields import Field, FloatArray, ParametricField
 from sgvf_drake.metrics import FollowMetrics, default_duration, follow_metrics, grid_starts
-from sgvf_drake.paths import Reference, ReferencePath
+from sgvf_drake.paths import PointCloud, Reference, ReferencePath
 from sgvf_drake.progress import Progress, no_progress
 from systems import MakeKinematicDiagram, MakeSimulator, SetPositions
 
@@ -22,13 +22,30 @@ LOG_PERIOD = 0.05
 SPEED_SAMPLES = 2_000
 
 
+class PathField(Field, Protocol):
+    """A field that knows the waypoints it was made from, as a `GuidingField` does."""
+
+    @property
+    def cloud(self) -> PointCloud:
+        """The waypoints."""
+
+    @property
+    def sigma(self) -> float:
+        """The scale of the field across its path, U: it turns within about half of it."""
+
+    @property
+    def ends(self) -> FloatArray:
+        """Where robots come to rest, (E, d) in the unit of the waypoints; E may be zero."""
+
+
 @dataclass(frozen=True, eq=False)
 class FollowResult:
     """Trajectories of n agents and what they say of the field.
 
     Attributes:
         times: (T,) seconds at unit speed, that is, length travelled on the path.
-        positions: (T, n, d) in the unit of the field.
+        positions: (T, n, d) in the unit of the field; in space, without the parameter that
+            the state of a parametric field has besides.
         errors: (T, n) cross-track errors in the unit of the field.
         metrics: Reach, lap, end, stall, leave and cross-track error.
         speed_on_path: Smallest and largest |m| on the reference.
@@ -55,7 +72,7 @@ class FollowResult:
 
 
 def follow(
-    field: GuidingField,
+    field: PathField,
     reference: Reference,
     starts: int = 400,
     duration: float | None = None,
@@ -64,7 +81,8 @@ def follow(
     """Follows a field from a grid of starts over its box, in one Drake diagram.
 
     Inside, agents travel one unit U a second, so that the steps of the simulation fit a
-    path in millimetres as well as one in kilometres.
+    path in millimetres as well as one in kilometres.  With a parametric field, each agent
+    starts at the parameter of the nearest point of its curve.
 
     Args:
         field: The field.
@@ -85,9 +103,11 @@ def follow(
         raise ConfigurationError(
             f"the duration must be a number of at least {sample:.3g} s, not {duration}"
         )
-    grid = grid_starts(field.cloud.box, starts, field.dim)
-    times, positions, wall_s = _simulate(field, grid, duration, progress)
-    errors = reference.project(positions.reshape(-1, field.dim)).distance
+    dim = field.cloud.dim
+    grid = _states(field, grid_starts(field.cloud.box, starts, dim))
+    times, states, wall_s = _simulate(field, grid, duration, progress)
+    positions = states[..., :dim]
+    errors = reference.project(positions.reshape(-1, dim)).distance
     return FollowResult(
         times=times,
         positions=positions,
@@ -100,8 +120,13 @@ def follow(
     )
 
 
+def _states(field: PathField, positions: FloatArray) -> FloatArray:
+    """Returns the states of agents at positions (n, d)."""
+    return field.lift(positions) if isinstance(field, ParametricField) else positions
+
+
 def _simulate(
-    field: GuidingField, starts: FloatArray, duration: float, progress: Progress
+    field: PathField, starts: FloatArray, duration: float, progress: Progress
 ) -> tuple[FloatArray, FloatArray, float]:
     unit = field.cloud.unit_length
     diagram = MakeKinematicDiagram(field, len(starts), speed=unit, log_period=LOG_PERIOD)
@@ -110,15 +135,16 @@ def _simulate(
     context = simulator.get_mutable_context()
     SetPositions(diagram, context, starts)
     wall_s = advance(simulator, duration / unit, LOG_PERIOD, "follow", progress)
-    times, positions = read_log(diagram, context, "positions_log")
-    return times * unit, positions.reshape(-1, *starts.shape), wall_s
+    times, states = read_log(diagram, context, "positions_log")
+    return times * unit, states.reshape(-1, *starts.shape), wall_s
 
 
-def _speed_on_path(field: GuidingField, reference: Reference) -> tuple[float, float]:
+def _speed_on_path(field: PathField, reference: Reference) -> tuple[float, float]:
     if isinstance(reference, ReferencePath):
         share = SPEED_SAMPLES // len(reference.pieces)
         points = np.concatenate([piece.sample(share) for piece in reference.pieces])
     else:
         points = field.cloud.points
-    speeds = np.linalg.norm(field(points), axis=1)
+    m = field(_states(field, points))[:, : points.shape[1]]
+    speeds = np.linalg.norm(m, axis=1)
     return float(speeds.min()), float(speeds.max())

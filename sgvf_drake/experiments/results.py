@@ -81,8 +81,11 @@ def check_results(
 
 
 def _move(source: Path, target: Path) -> None:
-    """Moves every file, each in one step; what else lies in the target stays."""
-    for path in sorted(source.rglob("*")):
+    """Moves every file, each in one step; what else lies in the target stays.
+
+    The summary is last: where it is, everything is.
+    """
+    for path in sorted(source.rglob("*"), key=lambda path: (path.name == SUMMARY, path)):
         destination = target / path.relative_to(source)
         if path.is_dir():
             destination.mkdir(exist_ok=True)

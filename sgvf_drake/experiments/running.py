@@ -1,6 +1,7 @@
 """Runs a scenario into a folder: tables, logs, figures, and what they come from."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+import inspect
 import json
 from os import PathLike
 from pathlib import Path
@@ -9,11 +10,14 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
+import sgvf_drake
+from sgvf_drake.experiments.measured_code import code_digest
 from sgvf_drake.experiments.outcome import Exhibit, Outcome
 from sgvf_drake.experiments.provenance import provenance
 from sgvf_drake.experiments.results import (
     SUMMARY,
     check_results,
+    plain,
     result_folder,
     save_figure,
     write_summary,
@@ -33,6 +37,7 @@ def run_scenario(
     trials: Path | None = None,
     jobs: int = 1,
     overwrite: bool = False,
+    resume: bool = False,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
     """Runs a scenario; leaves its exhibits, logs, the scenario itself and the summary.
@@ -45,19 +50,27 @@ def run_scenario(
         out: The folder of the results.
         trials: The folder in which finished trials are kept; None: `trials` in `out`.
         jobs: Processes that run trials at the same time.
-        overwrite: Whether results in `out` may be replaced.
+        overwrite: Whether any file in `out` that is in the way may be replaced.
+        resume: Whether the files of an earlier result may be, those that its summary names.
         progress: Told how far the trials are.
 
     Returns:
         The summary.
+
+    Raises:
+        OutputExistsError: A file is in the way.  Where that is found after the work, the
+            trials are kept.
+        ExperimentError: Trials failed.
     """
     out = Path(out)
-    check_results(out, (SUMMARY, SCENARIO_FILE), overwrite=overwrite)
+    earlier = _earlier_names(out)
+    own = earlier if resume else []
+    check_results(out, _without([SUMMARY, SCENARIO_FILE], own), overwrite=overwrite)
     begin = time.perf_counter()
     bench = Workbench(out / TRIALS if trials is None else trials, jobs, progress)
     outcome = scenario.experiment.run(bench)
     summary = {
-        **scenario.summary(),
+        **_origin(scenario),
         "seeds": scenario.experiment.seeds,
         "exhibits": [_entry(exhibit) for exhibit in outcome.exhibits],
         "logs": [f"{name}.parquet" for name in outcome.logs],
@@ -67,12 +80,34 @@ def run_scenario(
         "wall_s": time.perf_counter() - begin,
         **provenance(),
     }
-    names = [SUMMARY, SCENARIO_FILE, *_result_names(summary), *_earlier_names(out)]
-    with result_folder(out, names, overwrite=overwrite) as folder:
+    names = _result_names(summary)
+    check_results(out, _without(names, own), overwrite=overwrite)
+    with result_folder(out, [*names, *earlier], overwrite=overwrite or resume) as folder:
         _write(outcome, folder)
         (folder / SCENARIO_FILE).write_text(scenario.to_yaml(), encoding="utf-8")
         write_summary(folder, summary)
     return summary
+
+
+def stored_summary(out: Path) -> dict[str, Any] | None:
+    """Returns the summary of a result that is whole, else None."""
+    try:
+        summary: dict[str, Any] = json.loads((out / SUMMARY).read_text(encoding="utf-8"))
+        whole = all((out / name).is_file() for name in _result_names(summary))
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return summary if whole else None
+
+
+def is_result_of(summary: Mapping[str, Any], scenario: Scenario) -> bool:
+    """Whether a stored result is what running a scenario would give, by the code as it is."""
+    return all(summary.get(key) == value for key, value in plain(_origin(scenario)).items())
+
+
+def _origin(scenario: Scenario) -> dict[str, Any]:
+    """What a result follows from: the scenario as it is resolved, and the code."""
+    code = code_digest(Path(inspect.getfile(type(scenario.experiment))), drawing=True)
+    return {**scenario.summary(), "version": sgvf_drake.__version__, "code": code}
 
 
 def _entry(exhibit: Exhibit) -> dict[str, str]:
@@ -80,16 +115,23 @@ def _entry(exhibit: Exhibit) -> dict[str, str]:
     return {"file": f"{exhibit.name}.{suffix}", "caption": exhibit.caption}
 
 
-def _result_names(summary: dict[str, Any]) -> list[str]:
-    return [*(entry["file"] for entry in summary["exhibits"]), *summary["logs"]]
+def _result_names(summary: Mapping[str, Any]) -> list[str]:
+    exhibits = [entry["file"] for entry in summary["exhibits"]]
+    return [SUMMARY, SCENARIO_FILE, *exhibits, *summary["logs"]]
 
 
-def _earlier_names(out: Path) -> Sequence[str]:
+def _earlier_names(out: Path) -> list[str]:
     """The files of an earlier run in this folder, which are replaced or go."""
     try:
-        return _result_names(json.loads((out / SUMMARY).read_text(encoding="utf-8")))
+        names = _result_names(json.loads((out / SUMMARY).read_text(encoding="utf-8")))
     except (OSError, ValueError, KeyError, TypeError):
-        return ()
+        return []
+    # Of this folder, whatever a summary says.
+    return [name for name in names if Path(name).name == name]
+
+
+def _without(names: Sequence[str], own: Sequence[str]) -> list[str]:
+    return [name for name in names if name not in own]
 
 
 def _write(outcome: Outcome, folder: Path) -> None:

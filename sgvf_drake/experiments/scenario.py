@@ -9,7 +9,7 @@ import operator
 from pathlib import Path
 from typing import Any, Protocol
 
-from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
+from pydrake.common.yaml import yaml_dump_typed, yaml_load_file, yaml_load_typed
 import yaml
 
 from sgvf_drake.exceptions import ConfigurationError
@@ -66,6 +66,15 @@ def scenario_names() -> list[str]:
     return sorted(file.stem for file in _PACKAGED.glob("*.yaml"))
 
 
+def override_names(scenario: str | Path) -> list[str]:
+    """Returns the names of the overrides in a scenario's file, in their order.
+
+    Raises:
+        ConfigurationError: There is no such scenario, or its file cannot be read.
+    """
+    return _overrides_in(_find(scenario))
+
+
 def load_scenario(
     scenario: str | Path, overrides: Sequence[str] = (), settings: Sequence[str] = ()
 ) -> Scenario:
@@ -84,6 +93,13 @@ def load_scenario(
             cannot be used; the message names it.
     """
     file = _find(scenario)
+    known = _overrides_in(file)
+    unknown = [name for name in overrides if name not in known]
+    if unknown:
+        raise ConfigurationError(
+            f"there is no override {unknown[0]!r} in {file} (it has "
+            f"{', '.join(known) or 'none'})"
+        )
     loaded = Scenario()
     for part in (BASE, *overrides):
         with _named(f"{file}, {part}"):
@@ -115,6 +131,14 @@ def _find(scenario: str | Path) -> Path:
     return packaged
 
 
+def _overrides_in(file: Path) -> list[str]:
+    with _named(str(file)):
+        content = yaml_load_file(str(file))
+    if not isinstance(content, dict) or BASE not in content:
+        raise ConfigurationError(f"there is no part {BASE!r} in {file}")
+    return [name for name in content if name != BASE]
+
+
 def _with_setting(scenario: Scenario, setting: str) -> Scenario:
     name, equals, value = setting.partition("=")
     options = [option.name for option in fields(scenario.experiment)]
@@ -134,7 +158,5 @@ def _named(place: str) -> Iterator[None]:
     """Turns what reading YAML raises into an error that tells where."""
     try:
         yield
-    except KeyError as error:
-        raise ConfigurationError(f"{place}: there is no part {error} in the file") from None
     except (RuntimeError, TypeError, ValueError, OSError, yaml.YAMLError) as error:
         raise ConfigurationError(f"{place}: {' '.join(str(error).split())}") from None

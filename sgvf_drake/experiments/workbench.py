@@ -1,12 +1,11 @@
 """Where the trials of experiments run: in parallel, each stored as it ends, none twice."""
 
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 import hashlib
 import inspect
 import json
-from multiprocessing import get_context
 import os
 from pathlib import Path
 import shutil
@@ -15,8 +14,9 @@ import time
 from typing import Any
 
 import sgvf_drake
-from sgvf_drake.exceptions import ConfigurationError, SgvfError
+from sgvf_drake.exceptions import ConfigurationError, ExperimentError
 from sgvf_drake.experiments.measured_code import code_digest
+from sgvf_drake.experiments.processes import each_finished
 from sgvf_drake.experiments.results import plain
 from sgvf_drake.progress import Progress, no_progress
 
@@ -78,21 +78,26 @@ class Workbench:
             stage: What they are called where progress is shown.
 
         Raises:
-            SgvfError: A trial failed; the others ran, and are stored.
+            ExperimentError: A trial failed; the others ran, and are stored.
         """
-        stored = [self._stored(measure, trial) for trial in trials]
-        todo = [trial for trial, record in zip(trials, stored, strict=True) if record is None]
-        done, failures = len(trials) - len(todo), []
-        self.progress(stage, done, len(trials))
-        for trial, error in self._outcomes(measure, todo):
+        todo = {
+            _key(measure, trial): trial
+            for trial in trials
+            if self._stored(measure, trial) is None
+        }
+        total = len({_key(measure, trial) for trial in trials})
+        done, failures = total - len(todo), []
+        self.progress(stage, done, total)
+        work = partial(_measure, measure, self.store)
+        for finished in each_finished(work, list(todo.values()), self.jobs):
             done += 1
-            self.progress(stage, done, len(trials))
-            if error is not None:
-                failures.append((trial, error))
+            self.progress(stage, done, total)
+            if finished.error is not None:
+                failures.append(finished)
         if failures:
-            trial, error = failures[0]
-            raise SgvfError(
-                f"{len(failures)} of {len(trials)} trials of {stage} failed; the first, "
+            trial, error = failures[0].item, failures[0].error
+            raise ExperimentError(
+                f"{len(failures)} of {total} trials of {stage} failed; the first, "
                 f"{trial}: {type(error).__name__}: {error}"
             ) from error
         records = [self._stored(measure, trial) for trial in trials]
@@ -111,57 +116,27 @@ class Workbench:
         except (OSError, ValueError, TypeError, KeyError):
             return None
 
-    def _outcomes(
-        self, measure: Measure, trials: Sequence[Any]
-    ) -> Iterator[tuple[Any, BaseException | None]]:
-        """Measures trials and gives each with its error, if any, when it ends."""
-        if self.jobs == 1 or len(trials) < 2:
-            for trial in trials:
-                yield trial, _attempt(measure, trial, self.store)
-            return
-        # Spawned: a fork would copy the threads and locks of torch and Drake.
-        pool = ProcessPoolExecutor(self.jobs, mp_context=get_context("spawn"))
-        try:
-            futures = {
-                pool.submit(_attempt, measure, trial, self.store): trial for trial in trials
-            }
-            for future in as_completed(futures):
-                yield futures[future], _error_of(future)
-        finally:
-            pool.shutdown(cancel_futures=True)
 
-
-def _attempt(measure: Measure, trial: Any, store: Path) -> Exception | None:
-    """Measures a trial and stores it; whatever one does wrong, the others are to run."""
-    try:
-        _measure(measure, trial, store)
-    except Exception as error:
-        return error
-    return None
-
-
-def _error_of(future: Future[Exception | None]) -> BaseException | None:
-    """The error of a trial, or of the process that it was to run in."""
-    return future.exception() or future.result()
-
-
-def _measure(measure: Measure, trial: Any, store: Path) -> None:
+def _measure(measure: Measure, store: Path, trial: Any) -> None:
     """Leaves a folder with the row and the files of a trial, whole or not at all."""
     store.mkdir(parents=True, exist_ok=True)
     temporary = Path(tempfile.mkdtemp(dir=store, prefix="."))
+    # Inside of that one, which nobody else may read.
+    folder = temporary / "record"
+    folder.mkdir()
     try:
         begin = time.perf_counter()
-        row = measure(trial, temporary)
+        row = measure(trial, folder)
         content = {
             "identity": _identity(measure, trial),
             "row": plain(row),
             "elapsed_s": time.perf_counter() - begin,
         }
         text = json.dumps(content, indent=2, allow_nan=False)
-        (temporary / ROW).write_text(text + "\n", encoding="utf-8")
+        (folder / ROW).write_text(text + "\n", encoding="utf-8")
         target = store / _key(measure, trial)
         shutil.rmtree(target, ignore_errors=True)
-        os.replace(temporary, target)
+        os.replace(folder, target)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
 

@@ -2,6 +2,16 @@
 
 from sgvf_drake.fields.activation import Activation, find_activation
 from sgvf_drake.fields.base import AdjustableField, Field, FloatArray
+from sgvf_drake.fields.classical import (
+    AlgebraicCurve,
+    Curve,
+    CurveField,
+    FourierCurve,
+    ImplicitField,
+    LagrangeCurve,
+    ParametricField,
+    PursuitField,
+)
 from sgvf_drake.fields.compiled import CompiledField
 from sgvf_drake.fields.composition import (
     PAPER_GAIN,
@@ -22,16 +32,24 @@ __all__ = [
     "PAPER_GAIN",
     "Activation",
     "AdjustableField",
+    "AlgebraicCurve",
     "CompiledField",
     "Composition",
+    "Curve",
+    "CurveField",
     "Field",
     "FloatArray",
+    "FourierCurve",
     "FourierFeatures",
     "GaussianMixture",
     "GuidingField",
+    "ImplicitField",
+    "LagrangeCurve",
     "NormalisedComposition",
     "PaperComposition",
+    "ParametricField",
     "Perceptron",
+    "PursuitField",
     "RobustComposition",
     "ScoreField",
     "ScoreNetwork",

@@ -78,6 +78,27 @@ def shape_path(name: str) -> ReferencePath:
     return ReferencePath(_PIECES[name]())
 
 
+def regular_polygon(corners: int, radius: float) -> ReferencePath:
+    """Returns a regular polygon about the origin that rests on a side, counter-clockwise.
+
+    Its corners have an interior angle of 180 - 360 / corners degrees.  It is the square, or
+    the hexagon, of the named shapes but for its size.
+
+    Args:
+        corners: at least three.
+        radius: distance of the corners from the centre.
+
+    Raises:
+        ConfigurationError: if there is no such polygon.
+    """
+    if corners < 3:
+        raise ConfigurationError(f"a polygon needs at least 3 corners, not {corners}")
+    if not (0 < radius < math.inf):
+        raise ConfigurationError(f"the radius must be a positive number, not {radius}")
+    first_angle = -np.pi / 2 - np.pi / corners
+    return ReferencePath((_polygon(corners, radius, first_angle=first_angle),))
+
+
 def make_shape(
     name: str,
     num_points: int = 200,

@@ -110,16 +110,25 @@ class Page:
         )["sessionId"]
         for domain in ("Page", "Network", "Runtime", "Log"):
             self._send(f"{domain}.enable")
-        self._send(
-            "Emulation.setDeviceMetricsOverride",
-            width=WIDTH,
-            height=HEIGHT,
-            deviceScaleFactor=1,
-            mobile=False,
-        )
+        self.resize(WIDTH, HEIGHT)
         answer = self._send("Page.navigate", url=url)
         assert "errorText" not in answer, f"{url}: {answer['errorText']}"
         self.wait_until("document.readyState === 'complete'")
+
+    def resize(self, width, height, mobile=False):
+        """Makes the window this large, in pixels; as a phone shows it, or a desktop."""
+        self._send(
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=height,
+            deviceScaleFactor=1,
+            mobile=mobile,
+        )
+
+    def emulate(self, medium="screen", scheme="light"):
+        """Shows the page on a medium, `screen` or `print`, in a colour scheme."""
+        features = [{"name": "prefers-color-scheme", "value": scheme}]
+        self._send("Emulation.setEmulatedMedia", media=medium, features=features)
 
     def evaluate(self, expression):
         """Returns the value of an expression in JavaScript, or of what it promises."""

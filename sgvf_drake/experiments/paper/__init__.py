@@ -2,13 +2,33 @@
 
 from dataclasses import dataclass
 
+from sgvf_drake.experiments.paper.baselines import BaselineComparison
+from sgvf_drake.experiments.paper.corners import Corners
+from sgvf_drake.experiments.paper.flights import Flights
+from sgvf_drake.experiments.paper.indexing import Indexing
+from sgvf_drake.experiments.paper.loss_ablation import LossAblation
+from sgvf_drake.experiments.paper.overview import Overview
+from sgvf_drake.experiments.paper.recipe_ablation import RecipeAblation
+from sgvf_drake.experiments.paper.stein import SteinIdentity
+from sgvf_drake.experiments.paper.vanishing import ScoreVanishing
+
 
 @dataclass
 class NoExperiment:
     """Stands where a scenario names no kind."""
 
 
-KINDS: tuple[type, ...] = ()
+KINDS: tuple[type, ...] = (
+    BaselineComparison,
+    Corners,
+    Flights,
+    Indexing,
+    LossAblation,
+    Overview,
+    RecipeAblation,
+    ScoreVanishing,
+    SteinIdentity,
+)
 """The kinds of experiment; the name of a class is its tag in a scenario."""
 
 __all__ = ["KINDS", "NoExperiment"]

@@ -1,12 +1,9 @@
 """Running: every case once, its result stored, and the table of all of them."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
-from functools import cache
-import hashlib
+from functools import partial
 import json
-from multiprocessing import get_context
 from pathlib import Path
 import time
 import traceback
@@ -20,21 +17,16 @@ from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments import clouds
 from sgvf_drake.experiments.figures import follow_figure
 from sgvf_drake.experiments.follow import follow
+from sgvf_drake.experiments.measured_code import code_digest
+from sgvf_drake.experiments.processes import each_finished
 from sgvf_drake.experiments.quality.case import LABELS, Case
 from sgvf_drake.experiments.quality.measures import Row, failure, following, measure_score
 from sgvf_drake.experiments.results import SUMMARY, result_folder, save_figure, write_summary
 from sgvf_drake.metrics import default_duration
 from sgvf_drake.progress import Progress, no_progress
-import systems
 
 # Raised when this package measures something else under the name of a column.
 RESULTS_VERSION = 1
-# What decides the numbers, besides this package and `systems`: folders and files, relative
-# to `sgvf_drake`.
-MEASURED_CODE = (
-    *("paths", "fields", "learning", "metrics.py"),
-    *("experiments/clouds.py", "experiments/follow.py", "experiments/simulation.py"),
-)
 # Digits of the digest of that code which a table shows.
 CODE_DIGITS = 12
 
@@ -129,7 +121,11 @@ def run_suite(
     if rows:
         progress("finished before", len(rows), len(cases))
     todo = [case for case in cases if case.key not in rows]
-    for case, row in _outcomes(todo, folder, jobs):
+    for finished in each_finished(partial(run_case, folder=folder), todo, jobs):
+        case, row = finished.item, finished.result
+        if finished.error is not None:
+            row = _record(finished.error, case, folder)
+        assert row is not None
         rows[case.key] = row
         progress(f"{case.key}: {row['failure'] or 'ok'}", len(rows), len(cases))
     table = make_table(rows.values())
@@ -172,35 +168,6 @@ def _check_suite(cases: Sequence[Case], jobs: int) -> None:
         raise ConfigurationError(f"the number of jobs must be at least 1, not {jobs}")
 
 
-def _outcomes(cases: Sequence[Case], folder: Path, jobs: int) -> Iterator[tuple[Case, Row]]:
-    """Runs cases and gives each with its row when it ends."""
-    if jobs == 1:
-        yield from ((case, _attempt(case, folder)) for case in cases)
-        return
-    # Spawned: a fork would copy the threads and locks of torch and Drake.
-    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"))
-    try:
-        futures = {pool.submit(_attempt, case, folder): case for case in cases}
-        for future in as_completed(futures):
-            yield futures[future], _row_of(future, futures[future], folder)
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
-def _attempt(case: Case, folder: Path) -> Row:
-    try:
-        return run_case(case, folder)
-    # Whatever one case does wrong, the others are to be measured.
-    except Exception as error:
-        return _record(error, case, folder)
-
-
-def _row_of(future: Future[Row], case: Case, folder: Path) -> Row:
-    """The row of a case from its process; an error where the process itself died."""
-    error = future.exception()
-    return future.result() if error is None else _record(error, case, folder)
-
-
 def _record(error: BaseException, case: Case, folder: Path) -> Row:
     text = f"{type(error).__name__}: {error}"
     row = {**_labels(case), "error": text, "failure": text}
@@ -238,15 +205,3 @@ def _identity(case: Case) -> dict[str, Any]:
         "version": sgvf_drake.__version__,
         "code": code_digest(),
     }
-
-
-@cache
-def code_digest() -> str:
-    """Returns a digest of the code that decides the numbers, as it is when first asked."""
-    package = Path(sgvf_drake.__file__).parent
-    places = [*(package / name for name in MEASURED_CODE), Path(systems.__file__).parent]
-    digest = hashlib.sha256()
-    for place in places:
-        for file in sorted(place.rglob("*.py")) if place.is_dir() else [place]:
-            digest.update(f"{file.relative_to(place.parent)}\n".encode() + file.read_bytes())
-    return digest.hexdigest()

@@ -1,6 +1,5 @@
 """The quality harness of learning: its clouds, its measures, and that it loses nothing."""
 
-from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 import io
@@ -521,9 +520,7 @@ def test_a_missing_figure_is_made_again(tmp_path, work):
 
 
 def test_a_process_that_dies_is_an_error_of_its_case(tmp_path):
-    future = Future()
-    future.set_exception(BrokenProcessPool("killed"))
-    row = running._row_of(future, TINY, tmp_path)
+    row = running._record(BrokenProcessPool("killed"), TINY, tmp_path)
     assert row["error"] == "BrokenProcessPool: killed"
     assert running.finished_row(TINY, tmp_path) is None
     assert (tmp_path / f"{TINY.key}.json").exists()
@@ -535,14 +532,6 @@ def test_the_same_key_twice_is_refused(tmp_path, work):
     with pytest.raises(ConfigurationError, match="jobs must be at least 1"):
         run_suite(CASES, tmp_path, jobs=0)
     assert work.done == []
-
-
-def test_the_digest_follows_the_code(monkeypatch, tmp_path):
-    digest = running.code_digest.__wrapped__
-    before = digest()
-    assert digest() == before
-    monkeypatch.setattr(running, "MEASURED_CODE", running.MEASURED_CODE[1:])
-    assert digest() != before
 
 
 # The command line.

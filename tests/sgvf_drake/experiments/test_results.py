@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from sgvf_drake.exceptions import ConfigurationError, OutputExistsError
-from sgvf_drake.experiments.results import result_folder, write_summary
+from sgvf_drake.experiments import results
+from sgvf_drake.experiments.results import check_results, result_folder, write_summary
 
 NAMES = ("summary.json", "data.csv", "part")
 
@@ -77,6 +78,42 @@ def test_a_clash_is_found_before_the_work(tmp_path):
         with result_folder(tmp_path, NAMES):
             pytest.fail("the work began")
     assert tree(tmp_path) == {"data.csv": "precious"}
+
+
+def test_what_is_in_the_way_is_found_without_a_trace(tmp_path):
+    out = tmp_path / "a" / "out"
+    check_results(out, NAMES)
+    assert tree(tmp_path) == {}
+    out.mkdir(parents=True)
+    (out / "notes.txt").write_text("mine")
+    check_results(out, NAMES)
+    (out / "part").mkdir()
+    (out / "data.csv").write_text("precious")
+    with pytest.raises(
+        OutputExistsError, match=r"already holds data\.csv, part; .*--overwrite"
+    ):
+        check_results(out, NAMES)
+    check_results(out, NAMES, overwrite=True)
+    check_results(out, [])
+    with pytest.raises(ConfigurationError, match=r"notes\.txt is not a folder"):
+        check_results(out / "notes.txt" / "deeper", [], overwrite=True)
+    assert tree(out) == {"data.csv": "precious", "notes.txt": "mine", "part": None}
+
+
+def test_the_summary_comes_last(tmp_path, monkeypatch):
+    # Where it is, everything is, even if the machine stops in between.
+    moved = []
+
+    def replace(source, target):
+        moved.append(target.name)
+
+    monkeypatch.setattr(results.os, "replace", replace)
+    with result_folder(tmp_path / "out", ("summary.json", "zeta.png", "part")) as folder:
+        (folder / "zeta.png").write_text("a figure")
+        (folder / "part").mkdir()
+        (folder / "part" / "inner.txt").write_text("a part")
+        write_summary(folder, {})
+    assert moved == ["inner.txt", "zeta.png", "summary.json"]
 
 
 def test_overwriting_replaces_the_results_and_nothing_else(tmp_path):

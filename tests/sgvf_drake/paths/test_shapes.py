@@ -3,6 +3,7 @@ import pytest
 
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.paths import SHAPES, make_shape, shape_path, trace_pieces
+from sgvf_drake.paths.shapes import regular_polygon
 
 LENGTHS = {
     "concentric-circles": [4 * np.pi, 8 * np.pi],
@@ -104,3 +105,38 @@ def test_every_piece_has_its_share(num_points):
     counts = np.bincount(path.project(cloud.points).piece)
     assert counts.sum() == num_points
     assert counts.min() >= 3
+
+
+@pytest.mark.parametrize("corners", [3, 4, 5, 6, 8, 12])
+def test_a_regular_polygon_has_its_angles_and_rests_on_a_side(corners):
+    (piece,) = regular_polygon(corners, 3.0).pieces
+    vertices = piece.vertices
+    assert (len(vertices), piece.closed) == (corners, True)
+    assert signed_area(vertices) > 0
+    np.testing.assert_allclose(np.linalg.norm(vertices, axis=1), 3.0)
+    before, after = (np.roll(vertices, shift, axis=0) - vertices for shift in (1, -1))
+    lengths = np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1)
+    angles = np.degrees(np.arccos((before * after).sum(axis=1) / lengths))
+    np.testing.assert_allclose(angles, 180 - 360 / corners)
+    # Its first side is the lowest part of it.
+    np.testing.assert_allclose(vertices[:2, 1], vertices[:, 1].min())
+
+
+@pytest.mark.parametrize(
+    ("name", "corners", "radius"),
+    [("square", 4, 3 * np.sqrt(2)), ("hexagon", 6, 3.0)],
+)
+def test_square_and_hexagon_are_regular_polygons(name, corners, radius):
+    own = regular_polygon(corners, radius).pieces[0].vertices
+    named = shape_path(name).pieces[0].vertices
+    gaps = np.linalg.norm(own[:, None] - named, axis=2)
+    assert gaps.min(axis=0).max() < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("corners", "radius", "match"),
+    [(2, 1.0, "at least 3 corners, not 2"), (4, 0.0, "not 0.0"), (4, np.inf, "not inf")],
+)
+def test_no_polygon_without_corners_or_size(corners, radius, match):
+    with pytest.raises(ConfigurationError, match=match):
+        regular_polygon(corners, radius)

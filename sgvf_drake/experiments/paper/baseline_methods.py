@@ -1,0 +1,134 @@
+"""The clouds and the ways to a field that are compared.
+
+Waypoints come in an order to the methods that need one; the cases say in which.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import get_args
+
+import numpy as np
+
+from sgvf_drake.experiments.clouds import true_path
+from sgvf_drake.experiments.follow import PathField
+from sgvf_drake.fields import (
+    AlgebraicCurve,
+    CurveField,
+    FourierCurve,
+    ImplicitField,
+    LagrangeCurve,
+    ParametricField,
+    PursuitField,
+)
+from sgvf_drake.learning.config import Recipe
+from sgvf_drake.paths import PointCloud, ReferencePath, trace_pieces
+
+NUM_POINTS = 200
+# U; the noise of the noisy clouds of the quality suites, whose half-extent is about 4.
+NOISE = 0.05
+# U; shorter waves are taken for noise where a curve is smoothed.  Ten waypoints to a wave
+# leave about half of the noise, and move a right-angled corner by a tenth of a unit.
+WAVELENGTH = 1.0
+
+
+@dataclass(frozen=True)
+class Case:
+    """Waypoints, evenly spaced on a path piece after piece.
+
+    Attributes:
+        label: What it is called in tables.
+        path: One of `clouds.PATHS`.
+        noise: Standard deviation on each coordinate, U.
+        shuffled: Whether they are in random order.
+    """
+
+    label: str
+    path: str
+    noise: float = 0.0
+    shuffled: bool = False
+
+
+CASES = {
+    "ordered": Case("ordered", "trefoil"),
+    "shuffled": Case("shuffled", "trefoil", shuffled=True),
+    "noisy": Case("noisy", "trefoil", NOISE, shuffled=True),
+    "branching": Case("branching", "fork"),
+    "pieces": Case("two pieces", "concentric-circles"),
+    "corners": Case("corners", "square"),
+}
+
+
+@dataclass(frozen=True)
+class Method:
+    """A way from waypoints to a field.
+
+    Attributes:
+        label: What it is called in tables.
+        build: Makes the field of a cloud; the number is the seed.
+        takes_order: Whether it takes the order of the waypoints for that of the path.
+    """
+
+    label: str
+    build: Callable[[PointCloud, int], PathField]
+    takes_order: bool = False
+
+
+def _learned(recipe: Recipe) -> Callable[[PointCloud, int], PathField]:
+    def build(cloud: PointCloud, seed: int) -> PathField:
+        from sgvf_drake.learning import TrainingConfig, train
+
+        return train(cloud, TrainingConfig(recipe=recipe, seed=seed)).field
+
+    return build
+
+
+def _sorted_curves(cloud: PointCloud) -> list[FourierCurve]:
+    """Each piece of the spanning tree along its longest path; the rest of it is left out."""
+    pieces = [piece for piece in trace_pieces(cloud.points) if len(piece.order) > 2]
+    return [FourierCurve.through(cloud, piece.order, piece.closed) for piece in pieces]
+
+
+def _smoothed(cloud: PointCloud) -> CurveField:
+    return CurveField(cloud, [curve.smoothed(WAVELENGTH) for curve in _sorted_curves(cloud)])
+
+
+METHODS = {
+    "paper": Method("SGVF (paper's recipe)", _learned("paper")),
+    "robust": Method("SGVF (robust)", _learned("robust")),
+    "exact": Method("SGVF (exact mixture)", _learned("exact")),
+    "implicit": Method(
+        "implicit curve", lambda cloud, _: ImplicitField(cloud, AlgebraicCurve.fit(cloud))
+    ),
+    "fourier": Method(
+        "Fourier", lambda cloud, _: CurveField(cloud, [FourierCurve.through(cloud)]), True
+    ),
+    "lagrange": Method(
+        "Lagrange", lambda cloud, _: CurveField(cloud, [LagrangeCurve.through(cloud)]), True
+    ),
+    "parametric": Method(
+        "parametric",
+        lambda cloud, _: ParametricField(cloud, FourierCurve.through(cloud)),
+        True,
+    ),
+    "pursuit": Method("pursuit", lambda cloud, _: PursuitField(cloud), True),
+    "sorted": Method(
+        "Fourier (sorted first)", lambda cloud, _: CurveField(cloud, _sorted_curves(cloud))
+    ),
+    "smoothed": Method("Fourier (sorted, smoothed)", lambda cloud, _: _smoothed(cloud)),
+}
+LEARNED: tuple[str, ...] = get_args(Recipe)
+"""Those whose field, or part of it, is learned."""
+
+
+def make_case(case: Case, seed: int) -> tuple[PointCloud, ReferencePath]:
+    """Returns the waypoints of a case in the order in which they are given, and the path."""
+    path = true_path(case.path)
+    shares = np.round(NUM_POINTS * path.lengths / path.lengths.sum()).astype(int)
+    points = np.concatenate(
+        [piece.sample(int(n)) for piece, n in zip(path.pieces, shares, strict=True)]
+    )
+    rng = np.random.default_rng([seed, 2])
+    if case.noise > 0:
+        unit = PointCloud(points).unit_length
+        points = points + case.noise * unit * rng.standard_normal(points.shape)
+    return PointCloud(rng.permutation(points) if case.shuffled else points), path

@@ -1,0 +1,366 @@
+"""The comparison of fields: its clouds, its measures, its verdicts, and a small run."""
+
+from dataclasses import replace
+from itertools import pairwise
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.experiments import follow
+from sgvf_drake.experiments.outcome import Verdict
+from sgvf_drake.experiments.paper.baseline_claims import baseline_claims
+from sgvf_drake.experiments.paper.baseline_measures import (
+    Ways,
+    coverage,
+    effort,
+    errors,
+    find_ways,
+)
+from sgvf_drake.experiments.paper.baseline_methods import CASES, LEARNED, METHODS, make_case
+from sgvf_drake.experiments.paper.baseline_trials import TRAJECTORIES
+from sgvf_drake.experiments.paper.baselines import BaselineComparison
+from sgvf_drake.experiments.workbench import Workbench
+from sgvf_drake.fields import CurveField, FourierCurve, ParametricField
+from sgvf_drake.paths import Piece, PointCloud, ReferencePath, trace_pieces
+
+UNIT = 0.5
+
+
+def run_of(*tracks, errors=None):
+    """Agents that are at given positions, a sample every 0.05 U of time."""
+    positions = np.stack(tracks, axis=1)
+    times = 0.05 * UNIT * np.arange(len(positions))
+    return SimpleNamespace(times=times, positions=positions, errors=errors)
+
+
+def everything(run):
+    """Ways on which all agents succeed, from the first to the last sample."""
+    steps, agents = run.positions.shape[:2]
+    return Ways(np.ones(agents, bool), np.zeros(agents, int), np.full(agents, steps - 1))
+
+
+# The clouds.
+
+
+def test_the_cases_are_the_same_waypoints_in_their_order_shuffled_and_noisy():
+    ordered, path = make_case(CASES["ordered"], 0)
+    shuffled, _ = make_case(CASES["shuffled"], 0)
+    steps = np.linalg.norm(np.diff(ordered.points, axis=0), axis=1)
+    np.testing.assert_allclose(steps, path.longest / 200, rtol=0.01)
+    np.testing.assert_array_equal(make_case(CASES["ordered"], 1)[0].points, ordered.points)
+    assert not np.array_equal(make_case(CASES["shuffled"], 1)[0].points, shuffled.points)
+    np.testing.assert_array_equal(
+        np.sort(shuffled.points, axis=0), np.sort(ordered.points, axis=0)
+    )
+    clouds = [make_case(CASES["noisy"], seed)[0] for seed in range(4)]
+    squares = [(path.project(cloud.points).distance ** 2).mean() for cloud in clouds]
+    assert np.sqrt(np.mean(squares)) == pytest.approx(0.05 * ordered.unit_length, rel=0.1)
+
+
+def test_pieces_come_one_after_the_other():
+    for case, ways in (("branching", 3), ("pieces", 2)):
+        cloud, path = make_case(CASES[case], 0)
+        piece = path.project(cloud.points).piece
+        assert len(path.pieces) == ways
+        # The middle of the fork belongs to all arms.
+        middle = np.linalg.norm(cloud.points, axis=1) < 1e-9
+        assert np.all(np.diff(piece[~middle]) >= 0)
+
+
+def test_the_straight_way_back_from_a_tip_does_not_run_along_an_arm():
+    _, path = make_case(CASES["branching"], 0)
+    for piece in path.pieces:
+        assert path.project(piece.vertices[-1:] / 2).distance[0] > 0.3
+        assert piece.length == pytest.approx(3 * np.pi / 2, rel=1e-6)
+
+
+def test_what_takes_no_order_gives_the_same_field_for_any():
+    clouds = [make_case(CASES[case], 0)[0] for case in ("ordered", "shuffled")]
+    x = np.random.default_rng(0).uniform(-4, 4, (50, 2))
+    for name, method in METHODS.items():
+        if name in LEARNED:
+            continue
+        fields = [method.build(cloud, 0) for cloud in clouds]
+        at = [field.lift(x) if isinstance(field, ParametricField) else x for field in fields]
+        m, other = (field(y)[:, :2] for field, y in zip(fields, at, strict=True))
+        assert (np.abs(m - other).max() > 1e-6) == method.takes_order, name
+
+
+# The measures.
+
+
+@pytest.mark.parametrize("speed", [1.0, 0.3])
+def test_the_effort_on_a_circle_is_its_curvature(speed):
+    angle = speed * 0.05 / 2.0 * np.arange(600)
+    circle = 2.0 * UNIT * np.column_stack([np.cos(angle), np.sin(angle)])
+    run = run_of(circle, circle + 1.0)
+    assert effort(run, everything(run), UNIT) == pytest.approx(1 / 2.0, rel=1e-9)
+
+
+def test_the_effort_of_a_corner_grows_with_its_angle():
+    t = 0.05 * np.arange(200)[:, None]
+
+    def corner(angle):
+        turned = np.array([np.cos(angle), np.sin(angle)])
+        return UNIT * np.where(
+            t < 5, t * [1.0, 0.0], 5 * np.array([1.0, 0.0]) + (t - 5) * turned
+        )
+
+    found = []
+    for angle in (0.0, 0.4, 0.8):
+        run = run_of(corner(angle))
+        found.append(effort(run, everything(run), UNIT))
+    assert found[0] < 1e-5
+    # A turn by an angle at one point of about a hundred: its chord in two triangles.
+    assert found[1] == pytest.approx(np.sin(0.4) / 0.1 / 10, rel=0.5)
+    assert found[2] > 1.8 * found[1]
+
+
+def test_without_success_there_is_neither_error_nor_effort():
+    run = run_of(np.zeros((100, 2)), errors=np.zeros((100, 1)))
+    ways = replace(everything(run), good=np.zeros(1, bool))
+    assert effort(run, ways, UNIT) is None
+    assert errors(run, ways, UNIT) == {"rms_u": None, "max_u": None}
+    cloud = PointCloud(np.array([[0.0, 0.0], [4.0, 0.0]]))
+    assert coverage(run, ways, cloud) == 0.0
+    assert coverage(run, everything(run), cloud) == 0.5
+
+
+def test_errors_are_those_of_the_ways_in_units():
+    distance = np.zeros((10, 2))
+    distance[:, 0], distance[7:, 0], distance[:, 1] = 0.2, 5.0, 9.0
+    run = run_of(np.zeros((10, 2)), np.zeros((10, 2)), errors=distance)
+    ways = Ways(np.array([True, False]), np.array([2, 0]), np.array([6, 9]))
+    assert errors(run, ways, UNIT) == {
+        "rms_u": pytest.approx(0.4),
+        "max_u": pytest.approx(0.4),
+    }
+
+
+@pytest.fixture
+def arms():
+    """Two arms of 4 U from the middle, along x and along y."""
+    tips = 4 * UNIT * np.eye(2)
+    return ReferencePath(
+        tuple(Piece(np.stack([np.zeros(2), tip]), closed=False) for tip in tips)
+    )
+
+
+def along_x(at, height=0.0):
+    """A track through the values of x, in U, each 0.05 U from the next."""
+    x = np.concatenate(
+        [np.arange(a, b, 0.05 * np.sign(b - a)) for a, b in pairwise(at) if a != b]
+    )
+    return UNIT * np.column_stack([x, np.full(len(x), height)])
+
+
+def resting(track, steps=600):
+    """The track, and rest at its end, to a common number of samples."""
+    return np.concatenate([track, np.repeat(track[-1:], steps - len(track), axis=0)])
+
+
+@pytest.mark.parametrize(
+    ("track", "good"),
+    [
+        (resting(along_x([0, 4])), True),
+        (resting(along_x([0, 2])), False),
+        (resting(along_x([1, 4], 0.2)), False),
+        (along_x([0, 4, 0, 4, 0, 4, 0, 4, 0])[:600], True),
+        (along_x([0, 4, 0, 4, 0, 4, 0, 30])[:600], False),
+        (resting(along_x([1, 4], 0.4)), False),
+    ],
+    ids=["rests at a tip", "stalls", "stays beside", "moves", "leaves", "is not near"],
+)
+def test_who_succeeds_on_branches(arms, track, good):
+    run = run_of(track)
+    run.errors = arms.project(track).distance[:, None]
+    ways = find_ways(run, arms, UNIT)
+    assert ways.good.tolist() == [good]
+
+
+def test_the_way_is_that_from_the_path_to_the_tip(arms):
+    inward = UNIT * np.column_stack([np.ones(40), np.linspace(2.0, 0.05, 40)])
+    track = resting(np.concatenate([inward, along_x([1, 4])]))
+    run = run_of(track)
+    run.errors = arms.project(track).distance[:, None]
+    ways = find_ways(run, arms, UNIT)
+    begin, until = int(ways.begin[0]), int(ways.until[0])
+    assert run.errors[begin, 0] <= 0.1 * UNIT < run.errors[begin - 1, 0]
+    from_tip = np.linalg.norm(track - [4 * UNIT, 0], axis=1)
+    assert from_tip[until - 1] > 0.1 * UNIT > from_tip[-1]
+    assert errors(run, ways, UNIT)["max_u"] <= 0.1
+
+
+# Following a field whose state has one more dimension.
+
+
+@pytest.fixture(scope="module")
+def ring():
+    """Waypoints of a circle of radius 4, and the circle."""
+    angle = 2 * np.pi * np.arange(4096) / 4096
+    circle = Piece(4 * np.column_stack([np.cos(angle), np.sin(angle)]), closed=True)
+    return PointCloud(circle.sample(64)), ReferencePath((circle,))
+
+
+def test_a_parametric_field_is_followed_in_the_plane(ring):
+    cloud, path = ring
+    field = ParametricField(cloud, FourierCurve.through(cloud))
+    run = follow(field, path, starts=9)
+    assert run.positions.shape[1:] == (9, 2)
+    assert run.metrics.lapped.all()
+    summary = run.summary()
+    assert summary["cross_track_rms"] < 1e-3
+    assert summary["speed_on_path_min"] == pytest.approx(1.0, abs=1e-3)
+    start = field.lift(run.positions[0])[0]
+    solution = solve_ivp(
+        lambda _, state: field(state), (0, run.times[-1]), start, "DOP853", run.times, rtol=1e-9
+    )
+    # Nearly all of it along the path, gathered in the way in.
+    np.testing.assert_allclose(run.positions[:, 0], solution.y[:2].T, atol=2e-3)
+
+
+def test_a_classical_field_of_an_open_curve_ends():
+    line = ReferencePath((Piece(np.array([[-4.0, 0.0], [4.0, 0.0]]), closed=False),))
+    cloud = PointCloud(line.pieces[0].sample(50))
+    order = trace_pieces(cloud.points)[0].order
+    field = CurveField(cloud, [FourierCurve.through(cloud, order, closed=False)])
+    run = follow(field, line, starts=9)
+    assert run.metrics.ended.all()
+
+
+# The verdicts.
+
+GOOD, BAD, THIN, HALF = (1.0, 1.0), (0.0, 0.0), (1.0, 0.8), (0.5, 1.0)
+
+
+def verdicts(means):
+    return {claim.key: claim.verdict for claim in baseline_claims(means)}
+
+
+@pytest.mark.parametrize(
+    ("means", "key", "verdict"),
+    [
+        ({("ordered", "fourier"): GOOD}, "baselines-ordered", Verdict.HOLDS),
+        (
+            {("ordered", "fourier"): GOOD, ("ordered", "lagrange"): BAD},
+            "baselines-ordered",
+            Verdict.PARTLY,
+        ),
+        ({("ordered", "parametric"): THIN}, "baselines-ordered", Verdict.FAILS),
+        (
+            {("shuffled", "pursuit"): BAD, ("shuffled", "implicit"): GOOD},
+            "baselines-shuffled",
+            Verdict.HOLDS,
+        ),
+        (
+            {("shuffled", "pursuit"): BAD, ("shuffled", "fourier"): HALF},
+            "baselines-shuffled",
+            Verdict.PARTLY,
+        ),
+        (
+            {("shuffled", "sorted"): HALF, ("noisy", "sorted"): BAD},
+            "baselines-unordered",
+            Verdict.HOLDS,
+        ),
+        (
+            {("shuffled", "sorted"): GOOD, ("noisy", "sorted"): BAD},
+            "baselines-unordered",
+            Verdict.PARTLY,
+        ),
+        (
+            {("shuffled", "sorted"): GOOD, ("noisy", "sorted"): GOOD},
+            "baselines-unordered",
+            Verdict.FAILS,
+        ),
+        ({("branching", "sorted"): THIN}, "baselines-branching", Verdict.HOLDS),
+        ({("corners", "fourier"): GOOD}, "baselines-corners", Verdict.FAILS),
+        (
+            {("noisy", "paper"): GOOD, ("pieces", "paper"): HALF},
+            "baselines-sgvf",
+            Verdict.PARTLY,
+        ),
+        (
+            {("pieces", "robust"): GOOD, ("pieces", "sorted"): GOOD},
+            "baselines-advantage",
+            Verdict.FAILS,
+        ),
+        (
+            {("pieces", "robust"): GOOD, ("pieces", "sorted"): THIN},
+            "baselines-advantage",
+            Verdict.HOLDS,
+        ),
+        (
+            {("pieces", "robust"): HALF, ("pieces", "sorted"): THIN},
+            "baselines-advantage",
+            Verdict.FAILS,
+        ),
+    ],
+)
+def test_verdicts_follow_from_the_numbers(means, key, verdict):
+    assert verdicts(means)[key] is verdict
+
+
+def test_what_was_not_run_is_not_judged():
+    assert verdicts({("ordered", "robust"): GOOD}) == {}
+    found = baseline_claims({("branching", "sorted"): THIN})
+    assert [claim.key for claim in found] == ["baselines-branching"]
+    assert "100 % on 80 % of the waypoints" in found[0].evidence
+
+
+# The run.
+
+
+@pytest.fixture(scope="module")
+def outcome(tmp_path_factory):
+    bench = Workbench(tmp_path_factory.mktemp("bench"))
+    methods = ["implicit", "parametric"]
+    comparison = BaselineComparison(["ordered", "shuffled"], methods, starts=4, seeds=[3, 4])
+    return comparison.run(bench), bench
+
+
+def test_a_small_run_tells_order_from_disorder(outcome):
+    found, _ = outcome
+    rows = found.logs["baselines"].set_index(["case", "method", "seed"]).sort_index()
+    assert (rows.loc[("ordered", "parametric"), "success"] == 1).all()
+    assert (rows.loc[("shuffled", "parametric"), "success"] == 0).all()
+    assert rows.loc[("ordered", "parametric", 3), "rms_u"] < 1e-3
+    assert (rows["evaluation_us"] > 0).all()
+    assert [claim.verdict for claim in found.claims[:2]] == [Verdict.HOLDS, Verdict.HOLDS]
+
+
+def test_what_cannot_differ_is_run_once(outcome):
+    _, bench = outcome
+    # Of eight cells: one fit for all, one curve in order, and two out of order.
+    assert len(list(bench.store.glob("*/row.json"))) == 1 + 1 + 2
+    assert len(list(bench.store.glob(f"*/{TRAJECTORIES}"))) == 4
+
+
+def test_tables_and_figure(outcome):
+    found, _ = outcome
+    names = [exhibit.name for exhibit in found.exhibits]
+    assert names == ["baselines", "baselines_ordered", "baselines_shuffled"]
+    table = found.exhibits[1].content.set_index("method")
+    assert list(table.index) == [METHODS[name].label for name in ("implicit", "parametric")]
+    line = table.loc["parametric"]
+    assert line["success low"] == line["success mean"] == line["success high"] == 1.0
+    assert 0 < line["RMS, U mean"] <= line["max, U"] < 0.01
+    # One row of panels: of the methods that ran, the figure shows the implicit curve.
+    assert len(found.exhibits[0].content.axes) == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"cases": ["circles"]}, r"no case 'circles' \(they are ordered"),
+        ({"methods": ["spline"]}, "no method 'spline'"),
+        ({"methods": []}, "needs a method"),
+        ({"seeds": []}, "needs a seed"),
+    ],
+)
+def test_what_is_not_there_is_refused(tmp_path, options, message):
+    with pytest.raises(ConfigurationError, match=message):
+        BaselineComparison(**options).run(Workbench(tmp_path / "bench"))
+    assert not (tmp_path / "bench").exists()

@@ -1,0 +1,155 @@
+"""What order decides: curves, fields, and verdicts that can go the other way."""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+
+from sgvf_drake.experiments.outcome import Verdict
+from sgvf_drake.experiments.paper.indexing import Indexing, field_changes
+from sgvf_drake.experiments.paper.indexing_claims import indexing_claims
+from sgvf_drake.experiments.paper.indexing_trials import (
+    CurveTrial,
+    curve_points,
+    make_waypoints,
+    measure_curve,
+)
+from sgvf_drake.experiments.workbench import Workbench
+from sgvf_drake.fields import load_field
+from sgvf_drake.learning import train
+from sgvf_drake.paths import PointCloud
+
+
+def test_ordered_and_shuffled_waypoints_are_the_same_points():
+    ordered, path = make_waypoints(CurveTrial("ordered", "fourier", 8, 0))
+    shuffled, _ = make_waypoints(CurveTrial("shuffled", "fourier", 8, 0))
+    assert ordered.num_points == 25
+    assert path.project(ordered.points).distance.max() < 1e-9
+    assert not np.array_equal(ordered.points, shuffled.points)
+    np.testing.assert_array_equal(
+        np.unique(ordered.points, axis=0), np.unique(shuffled.points, axis=0)
+    )
+    again, _ = make_waypoints(CurveTrial("shuffled", "lagrange", 8, 1))
+    assert not np.array_equal(again.points, shuffled.points)
+
+
+@pytest.mark.parametrize("curve", ["fourier", "lagrange"])
+def test_curves_pass_their_waypoints_in_order(curve):
+    cloud = PointCloud(np.array([[0.0, 0.0], [3.0, 1.0], [2.0, 4.0], [-1.0, 2.0]]))
+    x = curve_points(curve, cloud)
+    quarters = x[np.linspace(0, len(x) - 1, 5).astype(int)]
+    np.testing.assert_allclose(quarters[:4], cloud.points, atol=1e-9)
+    np.testing.assert_allclose(quarters[4], cloud.points[0], atol=1e-9)
+
+
+def test_order_decides_the_curve(tmp_path):
+    ordered, shuffled, polynomial = (
+        measure_curve(CurveTrial(case, curve, 8, 0), tmp_path)
+        for case, curve in (
+            ("ordered", "fourier"),
+            ("shuffled", "fourier"),
+            ("ordered", "lagrange"),
+        )
+    )
+    assert ordered["waypoints"] == 25
+    assert ordered["length_ratio"] == pytest.approx(1.0, abs=0.01)
+    assert ordered["farthest_u"] < 0.1
+    # Shuffled, a closed curve goes from one place to any other each time.  Two of the 25 are
+    # about as far apart as the path is wide, and it is about 24 U around and 7 U wide.
+    assert 0.5 * 25 * 7 / 24 < shuffled["length_ratio"] < 2 * 25 * 7 / 24
+    # Equally spaced, a polynomial swings (Runge).
+    assert polynomial["farthest_u"] > 100
+
+
+def test_changes_of_fields_are_their_differences(exact_result):
+    field = exact_result.field
+    other = replace(field, composition=replace(field.composition, gain=1e-9))
+    changes = field_changes([field, other], [field])
+    assert set(changes["order"][0].values()) == {0.0}
+    (change,) = changes["seed"]
+    # Without a score, m is v alone; with it, most of the box goes straight to the path.
+    x = field.cloud.points
+    expected = np.sqrt((np.linalg.norm(field(x) - field.tangent(x), axis=1) ** 2).mean())
+    assert change["m, waypoints"] == pytest.approx(expected, rel=1e-6)
+    assert 1.0 < change["m, box"] < 2.0
+    assert change["exact score, box"] == 0.0
+
+
+def test_the_exact_score_of_shuffled_waypoints_is_the_same(exact_result, concentric):
+    field = exact_result.field
+    shuffled = PointCloud(np.random.default_rng(5).permutation(concentric[0].points))
+    changes = field_changes([field, field], [replace(field, cloud=shuffled)])
+    assert changes["order"][0]["exact score, box"] < 1e-9
+
+
+def test_the_kind_runs_on_fields_that_are_hardly_trained(tmp_path, monkeypatch):
+    short = partial(replace, tangent_iterations=100, max_restarts=0)
+    monkeypatch.setattr(
+        "sgvf_drake.learning.train", lambda cloud, config: train(cloud, short(config))
+    )
+    kind = Indexing(recipe="exact", thinning=[8], starts=4, seeds=[0])
+    outcome = kind.run(Workbench(tmp_path))
+    figure, curves, agents, order = (exhibit.content for exhibit in outcome.exhibits)
+    assert len(figure.axes) == 9
+    assert len(curves) == 6
+    assert agents["field"].tolist() == 3 * ["Fourier", "Lagrange"] + 3 * ["SGVF, exact"]
+    assert order["change"].tolist() == ["another order", "another seed"]
+    assert len({claim.key for claim in outcome.claims}) == 5
+    # One seed more is trained on the ordered waypoints, to compare with.
+    fields = [load_field(file) for file in tmp_path.glob("*/field.safetensors")]
+    assert sorted(field.seed for field in fields) == [0, 0, 0, 1]
+
+
+def curve(case, far, ratio, name="fourier"):
+    return {
+        "case": case,
+        "curve": name,
+        "waypoints": 25,
+        "farthest_u": far,
+        "length_ratio": ratio,
+    }
+
+
+def verdicts(curves=(), learned=1.0, coverage=1.0, order=0.01):
+    """The verdicts of one good curve a case, with others besides."""
+    given = [
+        curve("ordered", 0.01, 1.0),
+        curve("shuffled", 3.0, 10.0),
+        curve("branching", 1.0, 2.0),
+        *curves,
+    ]
+    agents = {
+        (case, field): [{"success": success, "coverage": coverage}]
+        for case in ("ordered", "shuffled", "branching")
+        for field, success in (("fourier", 0.1), ("robust", learned))
+    }
+    changes = {"order": [order], "seed": [0.01]}
+    claims = indexing_claims(given, agents, "robust", changes)
+    return {claim.key.removeprefix("indexing-"): claim.verdict for claim in claims}
+
+
+ALL_HOLD = dict.fromkeys(
+    ("ordered", "shuffled", "branching", "free", "branches"), Verdict.HOLDS
+)
+
+
+def test_what_was_expected_holds():
+    assert verdicts() == ALL_HOLD
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"curves": [curve("ordered", 5.0, 1.0)]}, {"ordered": Verdict.PARTLY}),
+        ({"curves": [curve("ordered", 0.0, 1.2)]}, {"ordered": Verdict.PARTLY}),
+        ({"curves": [curve("shuffled", 0.1, 1.0)]}, {"shuffled": Verdict.PARTLY}),
+        ({"curves": [curve("branching", 0.1, 1.0)]}, {"branching": Verdict.PARTLY}),
+        ({"order": 0.05}, {"free": Verdict.PARTLY}),
+        ({"coverage": 0.7}, {"branches": Verdict.PARTLY}),
+        ({"coverage": 0.3}, {"branches": Verdict.FAILS}),
+        ({"learned": 0.3, "order": 0.05}, {"free": Verdict.FAILS, "branches": Verdict.FAILS}),
+    ],
+)
+def test_a_verdict_follows_from_its_figures(changes, expected):
+    assert verdicts(**changes) == ALL_HOLD | expected

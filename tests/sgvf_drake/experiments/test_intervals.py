@@ -1,0 +1,95 @@
+"""Intervals over seeds: how often they hold the truth, and what they do with little."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from sgvf_drake.experiments.intervals import (
+    CONFIDENCE,
+    fraction_columns,
+    fraction_interval,
+    interval,
+    interval_columns,
+)
+
+
+def coverage(draw, truth, repeats):
+    """How often the intervals of repeated draws hold the truth."""
+    found = [interval(draw(np.random.default_rng(seed)))[1:] for seed in range(repeats)]
+    return np.mean([low <= truth <= high for low, high in found])
+
+
+@pytest.mark.parametrize(
+    ("draw", "truth"),
+    [(lambda rng: rng.normal(2.0, 3.0, 40), 2.0), (lambda rng: rng.uniform(size=40), 0.5)],
+)
+def test_the_interval_holds_the_mean_as_often_as_it_says(draw, truth):
+    repeats = 200
+    # Three standard deviations of a count, and the bootstrap's own bias of order 1 / n.
+    slack = 3 * math.sqrt(CONFIDENCE * (1 - CONFIDENCE) / repeats) + 1 / 40
+    assert coverage(draw, truth, repeats) == pytest.approx(CONFIDENCE, abs=slack)
+
+
+def test_the_interval_is_that_of_the_normal_distribution_where_there_is_much():
+    values = np.random.default_rng(3).normal(1.0, 2.0, 400)
+    mean, low, high = interval(values)
+    half = stats.norm.ppf((1 + CONFIDENCE) / 2) * values.std() / math.sqrt(len(values))
+    assert mean == values.mean()
+    assert (low, high) == pytest.approx((mean - half, mean + half), abs=0.1 * half)
+
+
+def test_values_that_are_missing_are_left_out():
+    values = [1.0, math.nan, 2.0, 4.0, math.nan]
+    assert interval(values) == interval([1.0, 2.0, 4.0])
+
+
+def test_a_single_value_says_nothing_of_the_spread():
+    mean, low, high = interval([math.nan, 0.25])
+    assert mean == 0.25
+    assert math.isnan(low)
+    assert math.isnan(high)
+
+
+@pytest.mark.parametrize("values", [[], [math.nan, math.nan]])
+def test_nothing_has_no_mean(values):
+    assert all(math.isnan(value) for value in interval(values))
+
+
+def test_equal_values_have_no_spread():
+    assert interval([0.5] * 5) == (0.5, 0.5, 0.5)
+
+
+def wilson(successes, trials):
+    """Wilson's interval as it is printed in textbooks."""
+    z, p = stats.norm.ppf((1 + CONFIDENCE) / 2), successes / trials
+    middle = p + z**2 / (2 * trials)
+    half = z * math.sqrt(p * (1 - p) / trials + z**2 / (4 * trials**2))
+    return p, (middle - half) / (1 + z**2 / trials), (middle + half) / (1 + z**2 / trials)
+
+
+@pytest.mark.parametrize(
+    ("successes", "trials"), [(0, 1), (1, 1), (0, 5), (3, 5), (5, 5), (17, 400)]
+)
+def test_fractions_have_wilsons_interval(successes, trials):
+    found = fraction_interval(successes, trials)
+    assert found == pytest.approx(wilson(successes, trials), abs=1e-12)
+    assert 0.0 <= found[1] < found[2] <= 1.0
+
+
+@pytest.mark.parametrize(("successes", "trials"), [(0, 0), (3, 2), (-1, 2)])
+def test_fractions_of_nothing_are_refused(successes, trials):
+    with pytest.raises(ValueError, match=r"k|n"):
+        fraction_interval(successes, trials)
+
+
+def test_columns_of_a_table_have_the_names_that_the_report_looks_for():
+    values = [1.0, 2.0, 4.0]
+    columns = interval_columns("RMS, U", values)
+    assert list(columns) == ["RMS, U mean", "RMS, U low", "RMS, U high"]
+    assert tuple(columns.values()) == interval(values)
+    columns = fraction_columns("laps", [True, False, True])
+    assert columns == dict(
+        zip(("laps mean", "laps low", "laps high"), fraction_interval(2, 3), strict=True)
+    )

@@ -1,0 +1,384 @@
+"""The page: numbers as people read them, pictures as they were, and nothing unescaped."""
+
+import base64
+import html
+from html.parser import HTMLParser
+import io
+import json
+import math
+import re
+
+import numpy as np
+import pandas as pd
+from PIL import Image
+import pytest
+
+from sgvf_drake.experiments import run_reproduce
+from sgvf_drake.experiments.intervals import interval_columns
+from sgvf_drake.experiments.report import build_page
+from sgvf_drake.experiments.report.numbers import (
+    cell_text,
+    duration_text,
+    interval_text,
+    number_text,
+)
+from sgvf_drake.experiments.report.pictures import embed, embed_thumbnail
+from sgvf_drake.experiments.report.tables import read_table, view_table
+
+NASTY = "a <b> & \"c\" 'd' {{ e }} </script>"
+
+
+# Numbers.
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.0, "0"),
+        (-0.0, "0"),
+        (1.0, "1"),
+        (-3.0, "−3"),  # noqa: RUF001
+        (0.5, "0.500"),
+        (0.9996, "1.00"),
+        (0.012345, "0.0123"),
+        (0.00099951, "1.00×10⁻³"),  # noqa: RUF001
+        (-0.00012345, "−1.23×10⁻⁴"),  # noqa: RUF001
+        (12.345, "12.3"),
+        (99.96, "100"),
+        (1234.5, "1,234"),
+        (400_000.0, "400,000"),
+        (2.5e7, "2.50×10⁷"),  # noqa: RUF001
+        (math.nan, "–"),  # noqa: RUF001
+        (math.inf, "∞"),
+        (-math.inf, "−∞"),  # noqa: RUF001
+    ],
+)
+def test_numbers_have_three_digits(value, text):
+    assert number_text(value) == text
+
+
+@pytest.mark.parametrize("value", 10.0 ** np.linspace(-9, 9, 57) * 1.0371)
+def test_numbers_are_right_to_three_digits(value):
+    text = number_text(value).replace(",", "")
+    mantissa, _, power = text.partition("×10")  # noqa: RUF001
+    digits = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
+    read = float(mantissa) * 10.0 ** int(power.translate(digits) or 0)
+    assert read == pytest.approx(value, rel=5e-3)
+    assert len(text) <= 10
+
+
+@pytest.mark.parametrize(
+    ("values", "text"),
+    [
+        ((0.93, 0.8, 1.0), "0.93 [0.80, 1.00]"),
+        ((0.0123, 0.0001, 0.0456), "0.0123 [0.0001, 0.0456]"),
+        ((123.4, 100.2, 150.9), "123 [100, 151]"),
+        ((0.1, -0.25, 0.3), "0.100 [−0.250, 0.300]"),  # noqa: RUF001
+        ((0.001, -0.0001, 0.5), "0.001 [0.000, 0.500]"),
+        ((1.0, 1.0, 1.0), "1 [1, 1]"),
+        ((0.25, math.nan, math.nan), "0.250"),
+        ((math.nan, math.nan, math.nan), "–"),  # noqa: RUF001
+    ],
+)
+def test_intervals_share_their_decimals(values, text):
+    assert interval_text(*values) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        *((True, "yes"), (np.False_, "no"), ("None", "None"), (np.int64(12_345), "12,345")),
+        *((-3, "−3"), (None, "–"), (pd.NA, "–"), (math.nan, "–")),  # noqa: RUF001
+    ],
+)
+def test_cells_are_text(value, text):
+    assert cell_text(value) == text
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [
+        *((0.04, "0.0 s"), (9.87, "9.9 s"), (9.97, "10 s"), (59.6, "1 min 0 s")),
+        *((725.2, "12 min 5 s"), (3_599.8, "1 h 0 min"), (3_900.0, "1 h 5 min")),
+    ],
+)
+def test_times_are_in_words(seconds, text):
+    assert duration_text(seconds) == text
+
+
+# Tables.
+
+
+def columns_of(table):
+    view = view_table(table, "caption")
+    return {column.heading: column for column in view.columns}
+
+
+def test_three_columns_of_an_interval_become_one(tmp_path):
+    values = [0.8, 0.9, 1.0]
+    rows = [{"variant": name, **interval_columns("laps", values)} for name in ("a", "b")]
+    pd.DataFrame(rows).to_csv(tmp_path / "table.csv", index=False)
+    view = view_table(read_table(tmp_path / "table.csv"), "caption")
+    assert [column.heading for column in view.columns] == ["variant", "laps"]
+    assert view.intervals
+    assert view.columns[1].numeric
+    assert (
+        view.columns[1].cells == (interval_text(*interval_columns("x", values).values()),) * 2
+    )
+    assert [[text for _, text in row] for row in view.rows] == [
+        [name, view.columns[1].cells[0]] for name in ("a", "b")
+    ]
+
+
+def test_a_single_seed_has_no_interval():
+    view = view_table(pd.DataFrame([interval_columns("laps", [0.25])]), "caption")
+    assert [column.cells for column in view.columns] == [("0.250",)]
+    assert not view.intervals
+
+
+@pytest.mark.parametrize("missing", ["laps mean", "laps low", "laps high"])
+def test_columns_that_are_no_interval_stay_as_they_are(missing):
+    table = pd.DataFrame([interval_columns("laps", [0.8, 0.9])]).drop(columns=missing)
+    view = view_table(table, "caption")
+    assert [column.heading for column in view.columns] == list(table.columns)
+    assert not view.intervals
+
+
+def test_a_table_is_read_as_it_was_written(tmp_path):
+    table = pd.DataFrame(
+        {
+            "variant": ["None", "NA", "null"],
+            "count": [1, 2, 3],
+            "share": [0.5, math.nan, 1.0],
+            "seen": [True, False, True],
+            "first": [math.nan, 3, 4],
+        }
+    )
+    table.to_csv(tmp_path / "table.csv", index=False)
+    columns = columns_of(read_table(tmp_path / "table.csv"))
+    assert columns["variant"].cells == ("None", "NA", "null")
+    assert columns["count"].cells == ("1", "2", "3")
+    assert columns["share"].cells == ("0.500", "–", "1")  # noqa: RUF001
+    assert columns["seen"].cells == ("yes", "no", "yes")
+    assert columns["first"].cells == ("–", "3", "4")  # noqa: RUF001
+    numeric = {name for name, column in columns.items() if column.numeric}
+    assert numeric == {"count", "share", "first"}
+
+
+def test_a_table_without_rows_has_its_headings():
+    view = view_table(pd.DataFrame(columns=["a", "b"]), "caption")
+    assert [column.heading for column in view.columns] == ["a", "b"]
+    assert view.rows == []
+
+
+# Pictures.
+
+
+@pytest.fixture
+def picture(tmp_path):
+    """A picture with all sorts of colours, and its file."""
+    pixels = np.random.default_rng(0).integers(0, 256, (300, 500, 3), dtype=np.uint8)
+    pixels[50:] = pixels[50]
+    path = tmp_path / "picture.png"
+    Image.fromarray(pixels).save(path)
+    return pixels, path
+
+
+def decoded(source):
+    head, _, data = source.partition(",")
+    assert head == "data:image/webp;base64"
+    with Image.open(io.BytesIO(base64.b64decode(data, validate=True))) as image:
+        return np.asarray(image.convert("RGB"))
+
+
+def test_a_picture_keeps_every_pixel(picture):
+    pixels, path = picture
+    found = embed(path)
+    np.testing.assert_array_equal(decoded(found.source), pixels)
+    assert (found.width, found.height) == (500, 300)
+
+
+def test_a_large_picture_keeps_its_look(tmp_path):
+    # Smooth colours with a little noise, which cannot be kept in few bytes.
+    rng = np.random.default_rng(0)
+    ramp = np.linspace(0, 250, 600)[:, np.newaxis, np.newaxis] + np.zeros((600, 400, 3))
+    pixels = (ramp + rng.uniform(0, 5, ramp.shape)).astype(np.uint8)
+    Image.fromarray(pixels).save(tmp_path / "large.png")
+    found = embed(tmp_path / "large.png")
+    assert len(found.source) < (tmp_path / "large.png").stat().st_size / 3
+    error = decoded(found.source).astype(float) - pixels
+    assert np.sqrt(np.mean(error**2)) < 3.0
+
+
+def test_a_picture_is_read_anew_when_its_file_has_changed(picture):
+    pixels, path = picture
+    embed(path)
+    Image.fromarray(255 - pixels).save(path)
+    np.testing.assert_array_equal(decoded(embed(path).source), 255 - pixels)
+
+
+def test_a_thumbnail_is_small_and_of_the_same_shape(picture):
+    _, path = picture
+    found = embed_thumbnail(path)
+    assert decoded(found.source).shape == (216, 360, 3)
+    assert (found.width, found.height) == (360, 216)
+
+
+def test_transparent_pixels_are_not_black(tmp_path):
+    Image.new("RGBA", (4, 4), (255, 0, 0, 0)).save(tmp_path / "clear.png")
+    assert (decoded(embed(tmp_path / "clear.png").source) == 255).all()
+
+
+# The page.
+
+
+class Outline(HTMLParser):
+    """What is on a page: elements with their attributes, and its text."""
+
+    VOID = frozenset(["meta", "link", "img", "use", "path", "circle", "br"])
+
+    def __init__(self, page):
+        super().__init__()
+        self.elements, self.open, self.texts = [], [], []
+        self.feed(page)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag, attributes):
+        self.elements.append((tag, dict(attributes)))
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attributes):
+        self.elements.append((tag, dict(attributes)))
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if "style" not in self.open:
+            self.texts.append(data)
+
+    def all(self, tag):
+        return [attributes for name, attributes in self.elements if name == tag]
+
+    @property
+    def text(self):
+        return " ".join(" ".join(self.texts).split())
+
+
+@pytest.fixture
+def page_of(fake_scenarios, tmp_path):
+    """Reproduces fake scenarios and reads the page: (only, scenarios=options) -> Outline."""
+
+    def page_of(*only, quick=False, **scenarios):
+        for name, options in scenarios.items():
+            fake_scenarios.write(name, **options)
+        run_reproduce(tmp_path / "out", only=only, quick=quick)
+        return Outline((tmp_path / "out" / "report.html").read_text(encoding="utf-8"))
+
+    return page_of
+
+
+def test_every_verdict_is_on_the_page(page_of):
+    page = page_of(
+        alpha={"verdict": "holds", "statement": "One grows."},
+        beta={"verdict": "holds in part", "statement": "Two grows."},
+        gamma={"verdict": "does not hold", "statement": "Three grows."},
+    )
+    for statement in ("One grows.", "Two grows.", "Three grows."):
+        assert statement in page.text
+    assert "Of 3 claims that the paper makes and 3 scenarios put to the test" in page.text
+    assert "1 holds, 1 holds in part and 1 does not hold." in page.text
+    kinds = [attributes["class"] for attributes in page.all("span") if "class" in attributes]
+    for kind in ("holds", "partly", "fails"):
+        # In the table and at the scenario.
+        assert kinds.count(f"badge {kind}") == 2
+    # A verdict is a word and a symbol, not a colour alone.
+    for words in ("holds", "holds in part", "does not hold"):
+        assert re.search(rf"\b{words}\b", page.text)
+    assert {attributes["href"] for attributes in page.all("use")} == {
+        *("#holds", "#partly", "#fails")
+    }
+
+
+def test_the_counts_are_in_words(page_of):
+    page = page_of(alpha={}, beta={})
+    assert "Of 2 claims that the paper makes and 2 scenarios put to the test, 2 hold." in (
+        page.text
+    )
+
+
+def test_links_lead_to_places_on_the_page(page_of):
+    page = page_of("alpha", alpha={}, beta={})
+    places = [attributes["id"] for _, attributes in page.elements if "id" in attributes]
+    assert len(places) == len(set(places))
+    links = [attributes["href"] for attributes in page.all("a") + page.all("use")]
+    assert {"#alpha", "#beta", "#alpha.grow"} <= set(links)
+    assert {link.removeprefix("#") for link in links} <= set(places)
+    labels = [at["aria-labelledby"] for _, at in page.elements if "aria-labelledby" in at]
+    assert set(labels) <= set(places)
+
+
+def test_the_page_needs_nothing_else(page_of):
+    page = page_of(alpha={})
+    assert page.all("script") == []
+    sources = [attributes["src"] for attributes in page.all("img")]
+    assert all(source.startswith("data:image/webp;base64,") for source in sources)
+    assert [at["href"] for at in page.all("link")] == ["data:,"]
+    assert "url(" not in "".join(page.texts)
+
+
+def test_figures_and_tables_have_their_captions(page_of):
+    page = page_of(alpha={"seeds": [1, 2, 300]})
+    thumbnail, figure = page.all("img")
+    assert thumbnail["alt"] == ""
+    assert figure["alt"] == "How squares grow."
+    assert page.text.count("The same in numbers.") == 1
+    assert "270,000" in page.text
+    assert all(at["scope"] in ("col", "row", "rowgroup") for at in page.all("th"))
+    assert len(page.all("caption")) == len(page.all("table")) == 2
+
+
+def test_each_scenario_says_how_to_run_it_again(page_of):
+    page = page_of(alpha={"seeds": [4, 5]}, quick=True)
+    assert "sgvf run alpha --override quick --out alpha" in page.text
+    assert "sgvf reproduce --quick" in page.text
+    assert "Quick reproduction" in page.text
+    assert "experiment: !FakeExperiment" in page.text
+    assert "Seeds 4, 5" in page.text
+
+
+def test_what_is_missing_or_failed_is_told(page_of):
+    page = page_of(
+        *("alpha", "beta"), alpha={}, beta={"error": "no <ink> & no paper"}, gamma={}
+    )
+    assert "Failed, 1 of 3 scenarios: beta ." in page.text
+    assert "Missing, 1 of 3 scenarios: gamma ." in page.text
+    assert "RuntimeError: no <ink> & no paper" in page.text
+    assert "Not run yet." in page.text
+
+
+def test_nothing_run_is_a_page_too(page_of):
+    page = page_of("alpha", alpha={"error": "no ink"}, beta={})
+    assert "No claim of the paper has been put to the test yet." in page.text
+    assert page.all("img") == []
+
+
+def test_what_experiments_say_is_escaped(fake_scenarios, tmp_path):
+    fake_scenarios.write("alpha", statement=NASTY)
+    fake_scenarios.write("beta", error=NASTY)
+    run_reproduce(tmp_path / "out")
+    text = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    page = Outline(text)
+    # The statement in the table and at its scenario, and the error.
+    assert page.text.count(NASTY) >= 3
+    assert page.all("b") == []
+    assert html.escape(NASTY).replace("&quot;", "&#34;").replace("&#x27;", "&#39;") in text
+
+
+def test_the_page_can_be_built_again_from_the_folder(page_of, tmp_path):
+    page_of(alpha={}, beta={})
+    out = tmp_path / "out"
+    summary = json.loads((out / "summary.json").read_text())
+    assert build_page(summary, out) == (out / "report.html").read_text(encoding="utf-8")
