@@ -19,8 +19,6 @@ from sgvf_drake.experiments.intervals import interval
 
 # Arrows along each side of a field.
 ARROWS = 23
-# Lengths that are told apart by colour; shorter and longer ones look like these.
-SHORTEST, LONGEST = 0.05, 5.0
 UNIT = "unit of the waypoints"
 SOURCE, SINK, STOPPED = "^", "v", "o"
 # How far apart groups and seeds are drawn beside a tick, in ticks.
@@ -35,6 +33,7 @@ class FieldPanel:
     Attributes:
         title: Above the panel.
         points: (N, 2) waypoints.
+        lengths: (N,) of the field there.
         x: (n, 2) where the arrows are; see `arrow_grid`.
         vectors: (n, 2) the field there.
         sources: (k, 2) where it parts on the path.
@@ -44,6 +43,7 @@ class FieldPanel:
 
     title: str
     points: FloatArray
+    lengths: FloatArray
     x: FloatArray
     vectors: FloatArray
     sources: FloatArray
@@ -72,21 +72,25 @@ def arrow_grid(box: tuple[FloatArray, FloatArray]) -> FloatArray:
     return np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
 
 
-def variants_figure(rows: Mapping[str, Sequence[FieldPanel]], symbol: str) -> Figure:
+def variants_figure(
+    rows: Mapping[str, Sequence[FieldPanel]], symbol: str, span: tuple[float, float]
+) -> Figure:
     """Returns fields side by side, a row for each name.
 
     Args:
         rows: The panels of each row.
         symbol: What is drawn, "v" or "m".
+        span: The lengths that are told apart by colour; shorter and longer ones look like
+            these.
     """
     columns = max(len(panels) for panels in rows.values())
     figure, axes = plotting.new_figure(
-        len(rows), columns, 3.3 * columns + 0.8, 3.5 * len(rows) + 0.6
+        len(rows), columns, 2.7 * columns + 0.8, 2.9 * len(rows) + 0.6
     )
     for row, (name, panels) in enumerate(rows.items()):
         for column, panel in enumerate(panels):
             panel_axes = axes[row * columns + column]
-            arrows = plot_panel(panel_axes, panel)
+            arrows = plot_panel(panel_axes, panel, span)
             plotting.plane_axes(panel_axes, UNIT, panel.title if row == 0 else "")
             panel_axes.label_outer()
         axes[row * columns].set_ylabel(f"{name}\ny [{UNIT}]")
@@ -95,21 +99,23 @@ def variants_figure(rows: Mapping[str, Sequence[FieldPanel]], symbol: str) -> Fi
     return figure
 
 
-def plot_panel(axes: Axes, panel: FieldPanel) -> Quiver:
-    """Draws arrows of one length, coloured by the field's own, and the marks."""
+def plot_panel(axes: Axes, panel: FieldPanel, span: tuple[float, float]) -> Quiver:
+    """Draws arrows of one length and waypoints, coloured by that of the field, and marks."""
+    colors, norm = _lengths(), LogNorm(*span)
     length = np.linalg.norm(panel.vectors, axis=1)
     unit = panel.vectors / np.maximum(length, np.finfo(np.float64).tiny)[:, None]
     arrows = axes.quiver(
         *panel.x.T,
         *unit.T,
         length,
-        cmap=_lengths(),
-        norm=LogNorm(SHORTEST, LONGEST),
+        cmap=colors,
+        norm=norm,
         pivot="mid",
         scale=1.15 * ARROWS,
         width=0.006,
     )
-    axes.plot(*panel.points.T, ".", color=plotting.GREY, markersize=2, zorder=1)
+    x, y = panel.points.T
+    axes.scatter(x, y, s=14, c=panel.lengths, cmap=colors, norm=norm)
     axes.plot(*panel.stopped.T, STOPPED, color=plotting.RED, markersize=5)
     for points, mark in ((panel.sources, SOURCE), (panel.sinks, SINK)):
         axes.plot(*points.T, mark, color="white", markeredgecolor="black", markersize=8)
@@ -128,7 +134,7 @@ def _marks(symbol: str) -> list[Line2D]:
         )
 
     return [
-        Line2D([], [], ls="", marker=".", color=plotting.GREY, label="waypoint"),
+        Line2D([], [], ls="", marker="o", ms=4, color=plotting.BLUE, label="waypoint"),
         mark(SOURCE, "white", f"{symbol} parts on the path (source)"),
         mark(SINK, "white", f"{symbol} meets on the path (sink)"),
         Line2D([], [], ls="", marker="o", color=plotting.RED, label="end of a failed agent"),
@@ -152,7 +158,7 @@ def measures_figure(
         columns: Panels in a row.
     """
     rows = -(-len(panels) // columns)
-    figure, axes = plotting.new_figure(rows, columns, 4.2 * columns, 3.1 * rows + 1.0)
+    figure, axes = plotting.new_figure(rows, columns, 3.8 * columns, 3.0 * rows + 0.6)
     groups = list(dict.fromkeys(table[group]))
     for panel, panel_axes in zip(panels, axes, strict=False):
         for number, name in enumerate(groups):

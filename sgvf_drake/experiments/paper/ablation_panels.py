@@ -37,6 +37,7 @@ def panels_of(
             FieldPanel(
                 title=title,
                 points=field.cloud.points,
+                lengths=np.linalg.norm(part(field.cloud.points), axis=1),
                 x=x,
                 vectors=part(x),
                 sources=np.concatenate([piece.sources for piece in pieces]),

@@ -5,7 +5,7 @@ Waypoints come in an order to the methods that need one; the cases say in which.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import get_args
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,14 +20,16 @@ from sgvf_drake.fields import (
     ParametricField,
     PursuitField,
 )
-from sgvf_drake.learning.config import Recipe
 from sgvf_drake.paths import PointCloud, ReferencePath, trace_pieces
+
+if TYPE_CHECKING:
+    from sgvf_drake.learning.config import Recipe
 
 NUM_POINTS = 200
 # U; the noise of the noisy clouds of the quality suites, whose half-extent is about 4.
 NOISE = 0.05
 # U; shorter waves are taken for noise where a curve is smoothed.  Ten waypoints to a wave
-# leave about half of the noise, and move a right-angled corner by a tenth of a unit.
+# leave about half of the noise, and cut a right-angled corner by 0.05 U.
 WAVELENGTH = 1.0
 
 
@@ -73,7 +75,7 @@ class Method:
     takes_order: bool = False
 
 
-def _learned(recipe: Recipe) -> Callable[[PointCloud, int], PathField]:
+def _learned(recipe: "Recipe") -> Callable[[PointCloud, int], PathField]:
     def build(cloud: PointCloud, seed: int) -> PathField:
         from sgvf_drake.learning import TrainingConfig, train
 
@@ -116,7 +118,7 @@ METHODS = {
     ),
     "smoothed": Method("Fourier (sorted, smoothed)", lambda cloud, _: _smoothed(cloud)),
 }
-LEARNED: tuple[str, ...] = get_args(Recipe)
+LEARNED = ("paper", "robust", "exact")
 """Those whose field, or part of it, is learned."""
 
 

@@ -33,8 +33,8 @@ class BaselineComparison:
     """Follows clouds with classical fields and with SGVF: the same starts, the same measures.
 
     Attributes:
-        cases: The clouds, of `baseline_trials.CASES`.
-        methods: The ways to a field, of `baseline_trials.METHODS`.
+        cases: The clouds, of `baseline_methods.CASES`.
+        methods: The ways to a field, of `baseline_methods.METHODS`.
         starts: Number of starts, a grid over the box.
         seeds: Of noise, order and training.
     """
@@ -70,7 +70,10 @@ class BaselineComparison:
             for case in self.cases
         ]
         return Outcome(
-            exhibits=[Exhibit("baselines", _FIGURE_CAPTION, figure), *tables],
+            exhibits=[
+                Exhibit("baselines", f"The same {self.starts} {_FIGURE_CAPTION}", figure),
+                *tables,
+            ],
             claims=baseline_claims(shares),
             logs={"baselines": rows},
         )
@@ -151,10 +154,9 @@ def _table(case: str, rows: pd.DataFrame) -> pd.DataFrame:
 
 
 _FIGURE_CAPTION = (
-    "The same 100 starts on every cloud, first seed: blue where an agent laps the path (on "
-    "the branching one: stays on it, and stops only at a tip), red where it does not; the "
-    "share of those that do stands above, and of what part of the waypoints if that is not "
-    "all. The upper rows are computed, the lower two learned."
+    "starts on every cloud, first seed: blue where an agent laps the path (on the branching "
+    "one: stays on it, and stops only at a tip), red where it does not. Above each panel the "
+    "share of those that do, and of how many of the waypoints if that is not all."
 )
 CAPTIONS = {
     "ordered": "Evenly spaced waypoints on a smooth curve, in their order.",

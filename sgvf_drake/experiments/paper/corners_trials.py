@@ -10,8 +10,6 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from sgvf_drake.arrays import BoolArray, FloatArray
 from sgvf_drake.experiments.follow import FollowResult, follow
 from sgvf_drake.fields import GuidingField, ScoreNetwork
-from sgvf_drake.learning import TrainingConfig, train
-from sgvf_drake.learning.config import SCORE_ITERATIONS, TANGENT_ITERATIONS
 from sgvf_drake.lyapunov import find_guiding_zeros
 from sgvf_drake.metrics import (
     SETTLE_DISTANCE,
@@ -64,6 +62,10 @@ def measure_corners(trial: CornerTrial, folder: Path) -> Row:
 
     Leaves each field as `NAME.safetensors` and what was seen along it as `NAME.npz`.
     """
+    # Imported here: what reads the records does without torch.
+    from sgvf_drake.learning import TrainingConfig, train
+    from sgvf_drake.learning.config import SCORE_ITERATIONS, TANGENT_ITERATIONS
+
     path = regular_polygon(trial.corners, RADIUS)
     cloud = polygon_cloud(path, trial)
     score: ScoreNetwork | None = None

@@ -27,8 +27,9 @@ PARTS_CAPTION = (
     "in per cent of what a propeller can give."
 )
 FLIGHTS_CAPTION = (
-    "Every flight, after the take-off: what became of it, the worst cross-track RMS of its "
-    "pieces, and how smooth it was. The jerk is horizontal; a step is a change within 10 ms."
+    "Every flight, after the take-off: what became of it (one that was more than 0.1 U off its "
+    "pieces, RMS, has strayed), the worst cross-track RMS of them, and how smooth it was. The "
+    "jerk is horizontal; a step is a change within 10 ms."
 )
 MM = 1e3
 # Of a leg or a transfer, by the names of `TourResult`.

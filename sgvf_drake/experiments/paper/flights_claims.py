@@ -56,7 +56,9 @@ class Flight:
         """What became of it, in words."""
         if self.error is not None:
             return "lost control"
-        return "completed" if self.completed else f"{self.legs[0]} of {self.legs[1]} pieces"
+        if not self.completed:
+            return f"{self.legs[0]} of {self.legs[1]} pieces"
+        return "completed" if self.follows else "strayed"
 
     @property
     def is_smooth(self) -> bool:
@@ -88,16 +90,15 @@ def flights_claims(flights: Sequence[Flight]) -> list[Claim]:
 
 def _branches_claim(recipe: str, flights: Sequence[Flight]) -> Claim:
     good = [flight.follows for flight in flights]
-    completed = [flight for flight in flights if flight.completed]
-    evidence = f"{len(completed)} of {len(flights)} flights went along all of their pieces"
-    if completed:
+    followed = [flight for flight in flights if flight.follows]
+    evidence = f"{len(followed)} of {len(flights)} flights followed all of their pieces"
+    if followed:
         evidence += (
             f", with a cross-track RMS of at most "
-            f"{1e3 * max(flight.rms_m for flight in completed):.1f} mm and a largest error of "
-            f"{1e3 * max(flight.max_m for flight in completed):.0f} mm (the start is off the "
-            "path)"
+            f"{1e3 * max(flight.rms_m for flight in followed):.1f} mm and a largest error of "
+            f"{1e3 * max(flight.max_m for flight in followed):.0f} mm (on the way in)"
         )
-    others = [flight for flight in flights if not flight.completed]
+    others = [flight for flight in flights if not flight.follows]
     if others:
         evidence += "; the others: " + ", ".join(
             f"{flight.shape} seed {flight.seed}, {flight.outcome}" for flight in others

@@ -32,6 +32,8 @@ NAMES = {
     NO_ORTHOGONALITY: "no orthogonality",
     NO_DIRECTION: "no directional consistency",
 }
+# Lengths of v that are told apart by colour.
+SPAN = (0.05, 5.0)
 PANELS = (
     MeasurePanel("lengths.m_error", "RMS of $|m| - 1$ in the box", log=True),
     MeasurePanel("lengths.fading", "mean $|v|$ near / away from the path"),
@@ -126,9 +128,10 @@ class LossAblation:
         return Exhibit(
             "fields",
             f"The tangent field v with all losses and without each, seed {self.seeds[0]}: "
-            "arrows of one length, their colour is |v|. Triangles mark where v turns around "
-            "on the path, red dots where agents of m = s + v ended that completed no lap.",
-            variants_figure(rows, "v"),
+            "arrows of one length, the colour, also of the waypoints, is |v|. Triangles mark "
+            "where v turns around on the path, red dots where agents of m = s + v ended that "
+            "completed no lap.",
+            variants_figure(rows, "v", SPAN),
         )
 
 

@@ -67,7 +67,9 @@ def _losses_claim(recipe: str, totals: Sequence[LossCourse]) -> Claim:
         f"In {sum(converged)} of {len(totals)} trainings the total fell and came to rest: "
         f"from {_span([total.begin for total in totals])} in the first tenth to "
         f"{_span([total.end for total in totals])} in the last, which differs from the one "
-        f"before by at most {max(abs(total.change) for total in totals):.0%}.",
+        f"before by at most {max(abs(total.change) for total in totals):.0%} and "
+        f"{max(abs(total.change) / total.error for total in totals):.1f} standard errors of "
+        "the batches.",
     )
 
 
@@ -93,4 +95,4 @@ def _verdict(good: Sequence[bool]) -> Verdict:
 
 
 def _span(values: Sequence[float]) -> str:
-    return f"{min(values):.3g}-{max(values):.3g}"
+    return f"{min(values):.2g}-{max(values):.2g}"

@@ -8,9 +8,11 @@ import pandas as pd
 
 # Parts into which a training is cut, each of which has one mean.
 PARTS = 10
-# The total has come to rest when its last two parts differ by no more than this part of it,
-# and has been stable when no part of the second half exceeds the end by this factor.
-REST, STABLE = 0.1, 1.5
+# The total has come to rest when its last two parts differ by no more than this part of it, or
+# by no more than so many standard errors of what one batch differs from another...
+REST, ERRORS = 0.1, 2.0
+# ... and has been stable when no part of the second half exceeds the end by this factor.
+STABLE = 1.5
 
 
 @dataclass(frozen=True)
@@ -21,30 +23,36 @@ class LossCourse:
         begin: Mean over the first part of the training.
         end: Mean over the last part.
         change: Of the last part from the one before, relative to the end.
+        error: Standard error of that change.
         peak: The highest part of the second half, relative to the end.
     """
 
     begin: float
     end: float
     change: float
+    error: float
     peak: float
 
     @property
     def converged(self) -> bool:
         """Whether it fell, came to rest, and was stable on the way."""
-        return self.end < self.begin and abs(self.change) <= REST and self.peak <= STABLE
+        rests = abs(self.change) <= max(REST, ERRORS * self.error)
+        return self.end < self.begin and rests and self.peak <= STABLE
 
 
 def course(losses: pd.Series) -> LossCourse:
     """Returns the course of a loss, given at even steps of the training."""
-    parts = [float(part.mean()) for part in np.array_split(losses.to_numpy(), PARTS)]
-    end = parts[-1]
+    parts = np.array_split(losses.to_numpy(dtype=np.float64), PARTS)
+    means = [float(part.mean()) for part in parts]
+    variance = sum(float(part.var(ddof=1)) / len(part) for part in parts[-2:])
+    end = means[-1]
     scale = max(end, float(np.finfo(np.float64).tiny))
     return LossCourse(
-        begin=parts[0],
+        begin=means[0],
         end=end,
-        change=(end - parts[-2]) / scale,
-        peak=max(parts[PARTS // 2 :]) / scale,
+        change=(end - means[-2]) / scale,
+        error=float(np.sqrt(variance)) / scale,
+        peak=max(means[PARTS // 2 :]) / scale,
     )
 
 

@@ -38,6 +38,8 @@ NAMES = {
     NO_HINT: "no hint",
     NO_PROJECTION: "no projection",
 }
+# Lengths of m that are told apart by colour.
+SPAN = (0.2, 2.0)
 PANELS = (
     MeasurePanel("following.lap", "share of starts that lap"),
     MeasurePanel("following.rms_u", "RMS error [U]", log=True),
@@ -138,9 +140,9 @@ class RecipeAblation:
         return Exhibit(
             "fields",
             f"The guiding field m complete and without each part, seed {self.seeds[0]}: arrows "
-            "of one length, their colour is |m|. Triangles mark where m turns around on the "
-            "path, red dots where agents ended that completed no lap.",
-            variants_figure(rows, "m"),
+            "of one length, the colour, also of the waypoints, is |m|. Triangles mark where "
+            "m turns around on the path, red dots where agents ended that completed no lap.",
+            variants_figure(rows, "m", SPAN),
         )
 
 

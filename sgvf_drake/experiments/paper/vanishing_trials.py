@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
@@ -13,8 +14,6 @@ from sgvf_drake.experiments.simulation import advance, read_log
 from sgvf_drake.experiments.singularities import singularity_summary, zero_rows
 from sgvf_drake.experiments.workbench import Row
 from sgvf_drake.fields import FourierCurve, GuidingField, ParametricField
-from sgvf_drake.learning import TrainingConfig, train
-from sgvf_drake.learning.config import SCORE_ITERATIONS, TANGENT_ITERATIONS
 from sgvf_drake.lyapunov import Singularities, find_singularities, measure_vanishing
 from sgvf_drake.lyapunov.surroundings import NEAR_PATH
 from sgvf_drake.metrics import grid_starts
@@ -75,8 +74,11 @@ def measure_score_zeros(trial: VanishingTrial, folder: Path) -> Row:
         `singularity_summary`, the summary of `measure_vanishing`, the zeros, and the regions
         of the box off the path; see `region_indices`.
     """
+    # Imported here: what reads the records does without torch.
+    from sgvf_drake.learning import TrainingConfig, train
+
     cloud, path = make_shape(trial.shape, seed=trial.seed)
-    field = train(cloud, _config(trial)).field
+    field = train(cloud, TrainingConfig(**_settings(trial))).field
     found = find_singularities(field)
     vanishing = measure_vanishing(field, found, path)
     field.save(folder / FIELD)
@@ -90,22 +92,25 @@ def measure_score_zeros(trial: VanishingTrial, folder: Path) -> Row:
     }
 
 
-def _config(trial: VanishingTrial) -> TrainingConfig:
+def _settings(trial: VanishingTrial) -> dict[str, Any]:
+    """Returns the options of the training."""
+    from sgvf_drake.learning.config import SCORE_ITERATIONS, TANGENT_ITERATIONS
+
     if trial.recipe == "paper":
         # The tangent takes most of the time, and is not asked for.
-        return TrainingConfig(
-            recipe="paper",
-            seed=trial.seed,
-            score_iterations=round(trial.effort * PAPER_ITERATIONS),
-            tangent_iterations=1,
-        )
-    return TrainingConfig(
-        seed=trial.seed,
+        return {
+            "recipe": "paper",
+            "seed": trial.seed,
+            "score_iterations": round(trial.effort * PAPER_ITERATIONS),
+            "tangent_iterations": 1,
+        }
+    return {
+        "seed": trial.seed,
         # The zeros of whatever score comes out are asked for.
-        max_restarts=0,
-        score_iterations=round(trial.effort * SCORE_ITERATIONS),
-        tangent_iterations=round(trial.effort * TANGENT_ITERATIONS),
-    )
+        "max_restarts": 0,
+        "score_iterations": round(trial.effort * SCORE_ITERATIONS),
+        "tangent_iterations": round(trial.effort * TANGENT_ITERATIONS),
+    }
 
 
 def region_indices(

@@ -156,4 +156,6 @@ def test_a_flight_that_is_not_completed_is_told_of():
     stuck = replace(FLIGHT, seed=7, completed=False, legs=(1, 2))
     branches, _ = flights_claims([FLIGHT, stuck])
     assert "concentric-flight seed 7, 1 of 2 pieces" in branches.evidence
-    assert flights_table([stuck])["outcome"].tolist() == ["1 of 2 pieces"]
+    astray = replace(FLIGHT, rms_m=0.06)
+    table = flights_table([FLIGHT, stuck, astray])
+    assert table["outcome"].tolist() == ["completed", "1 of 2 pieces", "strayed"]

@@ -98,6 +98,21 @@ def test_the_course_of_a_line():
     assert line.end == pytest.approx(0.0505)
     assert line.change == pytest.approx(-0.1 / 0.0505)
     assert line.peak == pytest.approx(0.4505 / 0.0505)
+    # Two tenths of 100 even steps, each of a variance of 0.1^2 / 12.
+    assert line.error == pytest.approx(np.sqrt(2 * 0.1**2 / 12 / 100) / 0.0505, rel=0.01)
+
+
+def test_noise_of_the_batches_is_no_change():
+    # Ten records a tenth, as of a training of 1,000 iterations.
+    noise = np.random.default_rng(3).lognormal(0.0, 0.6, 100)
+    noisy = course(pd.Series(np.where(np.arange(100) < 10, 50.0, noise)))
+    assert abs(noisy.change) > 0.2
+    assert noisy.converged
+    # A change of the same size without the noise is one.
+    means = np.repeat(noise.reshape(10, 10).mean(axis=1), 10)
+    steps = course(pd.Series(np.where(np.arange(100) < 10, 50.0, means)))
+    assert steps.change == pytest.approx(noisy.change)
+    assert not steps.converged
 
 
 def test_only_the_losses_of_the_tangent_are_told():
@@ -121,7 +136,7 @@ def planted(**changes):
     return row | {"score_cosine": 0.99, "score_cosine_p5": 0.9} | changes
 
 
-REST = LossCourse(1.0, 0.1, 0.01, 1.1)
+REST = LossCourse(1.0, 0.1, 0.01, 0.02, 1.1)
 GOOD, STALLS = planted(), planted(lap=0.5, all_lap=False)
 ONE_PIECE = planted(pieces_lapped=1)
 
@@ -134,12 +149,12 @@ ONE_PIECE = planted(pieces_lapped=1)
         ([STALLS, ONE_PIECE], [REST, REST], ["holds", "holds", "does not hold"]),
         (
             [planted(score_cosine=0.8), planted(score_cosine_p5=-0.1)],
-            [REST, LossCourse(1.0, 0.1, 0.3, 1.1)],
+            [REST, LossCourse(1.0, 0.1, 0.3, 0.02, 1.1)],
             ["does not hold", "holds in part", "holds"],
         ),
         (
             [GOOD],
-            [LossCourse(1.0, 0.1, 0.01, 2.0)],
+            [LossCourse(1.0, 0.1, 0.01, 0.02, 2.0)],
             ["holds", "does not hold", "holds"],
         ),
     ],
