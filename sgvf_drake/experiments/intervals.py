@@ -7,18 +7,22 @@ from numpy.typing import ArrayLike
 from scipy import stats
 
 CONFIDENCE = 0.95
-RESAMPLES = 2_000
+# The range of a share of something.
+SHARE = (0.0, 1.0)
 
 
-def interval(values: ArrayLike, seed: int = 0) -> tuple[float, float, float]:
-    """Returns the mean of values and its 95 % interval, by the percentile bootstrap.
+def interval(
+    values: ArrayLike, within: tuple[float, float] = (-np.inf, np.inf)
+) -> tuple[float, float, float]:
+    """Returns the mean of values and its 95 % interval, by Student's t.
 
-    NaN values are left out.  The interval is NaN for a single value, which says nothing of
-    the spread; all three are NaN without any.
+    Not by the bootstrap, whose intervals of three to five values hold the mean of a normal
+    distribution 75 to 83 % of the time.  NaN values are left out.  The interval is NaN for a
+    single value, which says nothing of the spread; all three are NaN without any.
 
     Args:
         values: One a seed.
-        seed: Of the resampling.
+        within: The range that the mean is known to be in; the interval is cut to it.
     """
     known = np.asarray(values, dtype=np.float64).ravel()
     known = known[~np.isnan(known)]
@@ -27,15 +31,8 @@ def interval(values: ArrayLike, seed: int = 0) -> tuple[float, float, float]:
     mean = float(known.mean())
     if len(known) == 1:
         return mean, float("nan"), float("nan")
-    result = stats.bootstrap(
-        (known,),
-        np.mean,
-        confidence_level=CONFIDENCE,
-        n_resamples=RESAMPLES,
-        method="percentile",
-        rng=np.random.default_rng(seed),
-    )
-    low, high = result.confidence_interval
+    half = float(stats.t.ppf((1 + CONFIDENCE) / 2, len(known) - 1) * stats.sem(known))
+    low, high = np.clip((mean - half, mean + half), *within)
     return mean, float(low), float(high)
 
 
@@ -49,9 +46,11 @@ def fraction_interval(successes: int, trials: int) -> tuple[float, float, float]
     return successes / trials, float(found.low), float(found.high)
 
 
-def interval_columns(name: str, values: ArrayLike, seed: int = 0) -> Mapping[str, float]:
+def interval_columns(
+    name: str, values: ArrayLike, within: tuple[float, float] = (-np.inf, np.inf)
+) -> Mapping[str, float]:
     """Returns `interval` as three columns of a table: "NAME mean", "NAME low", "NAME high"."""
-    return _columns(name, interval(values, seed))
+    return _columns(name, interval(values, within))
 
 
 def fraction_columns(name: str, outcomes: Sequence[bool]) -> Mapping[str, float]:

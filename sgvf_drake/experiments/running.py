@@ -67,10 +67,12 @@ def run_scenario(
     own = earlier if resume else []
     check_results(out, _without([SUMMARY, SCENARIO_FILE], own), overwrite=overwrite)
     begin = time.perf_counter()
+    # Before the work: code that is edited meanwhile has no part in it.
+    origin = _origin(scenario)
     bench = Workbench(out / TRIALS if trials is None else trials, jobs, progress)
     outcome = scenario.experiment.run(bench)
     summary = {
-        **_origin(scenario),
+        **origin,
         "seeds": scenario.experiment.seeds,
         "exhibits": [_entry(exhibit) for exhibit in outcome.exhibits],
         "logs": [f"{name}.parquet" for name in outcome.logs],

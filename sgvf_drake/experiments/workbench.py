@@ -88,7 +88,7 @@ class Workbench:
         total = len({_key(measure, trial) for trial in trials})
         done, failures = total - len(todo), []
         self.progress(stage, done, total)
-        work = partial(_measure, measure, self.store)
+        work = partial(_measure, measure, self.store, _code(measure))
         for finished in each_finished(work, list(todo.values()), self.jobs):
             done += 1
             self.progress(stage, done, total)
@@ -117,8 +117,16 @@ class Workbench:
             return None
 
 
-def _measure(measure: Measure, store: Path, trial: Any) -> None:
-    """Leaves a folder with the row and the files of a trial, whole or not at all."""
+def _measure(measure: Measure, store: Path, code: str, trial: Any) -> None:
+    """Leaves a folder with the row and the files of a trial, whole or not at all.
+
+    Raises:
+        ExperimentError: The code in this process is not that of the run.
+    """
+    # Before the work: code that is edited meanwhile has no part in it.
+    identity = _identity(measure, trial)
+    if identity["code"] != code:
+        raise ExperimentError("the code was changed while the trials ran; run them again")
     store.mkdir(parents=True, exist_ok=True)
     temporary = Path(tempfile.mkdtemp(dir=store, prefix="."))
     # Inside of that one, which nobody else may read.
@@ -128,7 +136,7 @@ def _measure(measure: Measure, store: Path, trial: Any) -> None:
         begin = time.perf_counter()
         row = measure(trial, folder)
         content = {
-            "identity": _identity(measure, trial),
+            "identity": identity,
             "row": plain(row),
             "elapsed_s": time.perf_counter() - begin,
         }
@@ -157,5 +165,9 @@ def _identity(measure: Measure, trial: Any) -> Row:
         "measure": _name(measure),
         "trial": plain(asdict(trial)),
         "version": sgvf_drake.__version__,
-        "code": code_digest(Path(inspect.getfile(measure))),
+        "code": _code(measure),
     }
+
+
+def _code(measure: Measure) -> str:
+    return code_digest(Path(inspect.getfile(measure)))

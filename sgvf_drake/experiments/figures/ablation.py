@@ -57,7 +57,7 @@ class MeasurePanel:
 
     Attributes:
         measure: Its column.
-        label: Of its axis, with the unit.
+        label: What it is, with the unit; above the panel.
         log: Whether the axis is logarithmic.
     """
 
@@ -85,7 +85,7 @@ def variants_figure(
     """
     columns = max(len(panels) for panels in rows.values())
     figure, axes = plotting.new_figure(
-        len(rows), columns, 2.7 * columns + 0.8, 2.9 * len(rows) + 0.6
+        len(rows), columns, 2.7 * columns + 0.8, 2.6 * len(rows) + 0.8
     )
     for row, (name, panels) in enumerate(rows.items()):
         for column, panel in enumerate(panels):
@@ -176,7 +176,7 @@ def measures_figure(
                 str(name),
             )
         panel_axes.set_xticks(range(len(names)), list(names.values()), rotation=20, ha="right")
-        panel_axes.set(ylabel=panel.label, yscale="log" if panel.log else "linear")
+        panel_axes.set(title=panel.label, yscale="log" if panel.log else "linear")
         panel_axes.grid(axis="y", alpha=0.3)
     for spare in axes[len(panels) :]:
         spare.set_axis_off()

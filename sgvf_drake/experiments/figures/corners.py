@@ -14,7 +14,7 @@ import pandas as pd
 
 from sgvf_drake import plotting
 from sgvf_drake.arrays import BoolArray, FloatArray
-from sgvf_drake.experiments.intervals import interval
+from sgvf_drake.experiments.intervals import SHARE, interval
 from sgvf_drake.fields import GuidingField
 
 UNIT = "unit of the waypoints"
@@ -149,7 +149,7 @@ def plot_over_angle(axes: Axes, table: pd.DataFrame, name: str) -> None:
     for network, (color, marker, shift) in STYLES.items():
         groups = table[table["network"] == network].groupby("angle")[name]
         angles = np.array([angle for angle, _ in groups], dtype=np.float64)
-        mean, low, high = 100 * np.array([interval(values) for _, values in groups]).T
+        mean, low, high = 100 * np.array([interval(values, SHARE) for _, values in groups]).T
         spread = np.nan_to_num(np.stack([mean - low, high - mean]))
         axes.errorbar(
             angles + shift, mean, spread, color=color, marker=marker, capsize=3, label=network

@@ -5,7 +5,7 @@ from typing import Any
 
 import pandas as pd
 
-from sgvf_drake.experiments.intervals import interval_columns
+from sgvf_drake.experiments.intervals import SHARE, interval_columns
 from sgvf_drake.experiments.workbench import Record
 
 
@@ -30,6 +30,7 @@ def seeds_table(
     names: Mapping[str, str],
     counts: Mapping[str, str],
     means: Mapping[str, str],
+    shares: Mapping[str, str] | None = None,
 ) -> pd.DataFrame:
     """Returns one row a group, with what its seeds say.
 
@@ -39,6 +40,7 @@ def seeds_table(
         names: What each variant is called.
         counts: Columns "k of n" by their header, of a yes-or-no measure.
         means: Columns of means with their interval by their header.
+        shares: The same of shares, which come before them.
     """
     rows = []
     for key, fields in table.groupby(list(groups), sort=False):
@@ -47,6 +49,8 @@ def seeds_table(
         row["variant"] = names[row["variant"]]
         for header, measure in counts.items():
             row[header] = f"{int(fields[measure].sum())} of {len(fields)}"
+        for header, measure in (shares or {}).items():
+            row.update(interval_columns(header, fields[measure].astype(float), SHARE))
         for header, measure in means.items():
             row.update(interval_columns(header, fields[measure].astype(float)))
         rows.append(row)

@@ -8,7 +8,7 @@ import pandas as pd
 
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments.figures.baselines import Panel, baselines_figure
-from sgvf_drake.experiments.intervals import interval, interval_columns
+from sgvf_drake.experiments.intervals import SHARE, interval, interval_columns
 from sgvf_drake.experiments.outcome import Exhibit, Outcome
 from sgvf_drake.experiments.paper.baseline_claims import HANDLED, baseline_claims
 from sgvf_drake.experiments.paper.baseline_methods import CASES, LEARNED, METHODS
@@ -141,7 +141,7 @@ def _table(case: str, rows: pd.DataFrame) -> pd.DataFrame:
         lines.append(
             {
                 "method": METHODS[str(method)].label,
-                **interval_columns("success", found["success"]),
+                **interval_columns("success", found["success"], SHARE),
                 "coverage": found["coverage"].mean(),
                 **interval_columns("RMS, U", found["rms_u"].astype(float)),
                 "max, U": found["max_u"].astype(float).max(),

@@ -13,6 +13,8 @@ from sgvf_drake.experiments.intervals import interval_columns
 from sgvf_drake.experiments.paper.corners_traps import Traps, even_share, examine
 
 NETWORKS = ("shallow", "deep", "robust")
+# The range of a share in per cent.
+PERCENT = (0.0, 100.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,11 +66,11 @@ def stalls_table(table: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(
         {
             **_labels(rows),
-            **interval_columns("stalled, %", 100 * rows["stalled"]),
-            **interval_columns("stalled near a corner, %", 100 * rows["stalled_near"]),
-            **interval_columns("near, of the stalled, %", 100 * rows["near"]),
+            **interval_columns("stalled, %", 100 * rows["stalled"], PERCENT),
+            **interval_columns("stalled near a corner, %", 100 * rows["stalled_near"], PERCENT),
+            **interval_columns("near, of the stalled, %", 100 * rows["near"], PERCENT),
             "near, of the path, %": 100 * rows["even"].iloc[0],
-            **interval_columns("laps, %", 100 * rows["lapped"]),
+            **interval_columns("laps, %", 100 * rows["lapped"], PERCENT),
             "paused, %": 100 * rows["paused"].mean(),
             "RMS, U": rows["rms"].mean(),
         }
@@ -86,7 +88,7 @@ def traps_table(table: pd.DataFrame, found: CornerFields) -> pd.DataFrame:
         rows.append(
             {
                 **_labels(group),
-                **interval_columns("corners with a trap, %", 100 * group["trapped"]),
+                **interval_columns("corners with a trap, %", 100 * group["trapped"], PERCENT),
                 "traps": len(along),
                 "before / after / clash": f"{(along < 0).sum()} / {(along >= 0).sum()} / "
                 f"{np.isnan(along).sum()}",

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from sgvf_drake.experiments.figures.indexing import Agents, IndexingColumn, indexing_figure
-from sgvf_drake.experiments.intervals import interval_columns
+from sgvf_drake.experiments.intervals import SHARE, interval_columns
 from sgvf_drake.experiments.outcome import Exhibit, Outcome
 from sgvf_drake.experiments.paper.baseline_trials import (
     TRAJECTORIES,
@@ -227,8 +227,8 @@ def agents_table(rows: Mapping[Group, Sequence[Row]]) -> pd.DataFrame:
         {
             "case": case,
             "field": label(field),
-            **interval_columns("success", [row["success"] for row in own]),
-            **interval_columns("coverage", [row["coverage"] for row in own]),
+            **interval_columns("success", [row["success"] for row in own], SHARE),
+            **interval_columns("coverage", [row["coverage"] for row in own], SHARE),
         }
         for (case, field), own in rows.items()
     )

@@ -82,8 +82,8 @@ def _broken_claim(rows: Sequence[Row], agents: Agents) -> Claim:
         "Shuffled waypoints break the interpolation.",
         _verdict([is_broken(row) for row in rows]),
         f"{sum(map(is_broken, rows))} of {len(rows)} curves are broken, the least of them "
-        f"{min(row['length_ratio'] for row in rows):.1f} times too long; of the agents in "
-        f"their fields {_success(agents, 'shuffled')} succeed.",
+        f"{min(row['length_ratio'] for row in rows):.1f} times too long; of the agents "
+        f"{_success(agents, 'shuffled')} succeed.",
     )
 
 

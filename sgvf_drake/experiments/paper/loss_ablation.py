@@ -147,11 +147,13 @@ def following_table(table: pd.DataFrame) -> pd.DataFrame:
         ("network", "variant"),
         NAMES,
         counts={"followable seeds": "following.followable"},
-        means={
+        shares={
             "reach": "following.reach",
             "lap": "following.lap",
             "stall": "following.stall",
             "leave": "following.leave",
+        },
+        means={
             "RMS, U": "following.rms_u",
             "slowest |m| on the path": "following.speed_min",
         },

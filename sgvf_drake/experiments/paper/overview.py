@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from sgvf_drake.experiments.figures.overview import OverviewRow, overview_figure
-from sgvf_drake.experiments.intervals import fraction_columns, interval_columns
+from sgvf_drake.experiments.intervals import SHARE, fraction_columns, interval_columns
 from sgvf_drake.experiments.outcome import Exhibit, Outcome
 from sgvf_drake.experiments.paper.overview_claims import followed, overview_claims
 from sgvf_drake.experiments.paper.overview_losses import losses_table, tangent_courses
@@ -113,7 +113,7 @@ def fields_table(rows: Mapping[Group, Sequence[Mapping[str, Any]]]) -> pd.DataFr
                 "shape": shape,
                 "recipe": recipe,
                 "reach": columns["reach"].mean(),
-                **interval_columns("lap", columns["lap"]),
+                **interval_columns("lap", columns["lap"], SHARE),
                 **fraction_columns("fields followed", [followed(row) for row in own]),
                 **interval_columns("RMS, U", columns["rms_u"]),
                 **interval_columns("largest, U", columns["max_u"]),

@@ -153,11 +153,13 @@ def following_table(table: pd.DataFrame) -> pd.DataFrame:
         ("shape", "variant"),
         NAMES,
         counts={"followable seeds": "following.followable"},
-        means={
+        shares={
             "reach": "following.reach",
             "lap": "following.lap",
             "stall": "following.stall",
             "leave": "following.leave",
+        },
+        means={
             "RMS, U": "following.rms_u",
             "max, U": "following.max_u",
             "| |m| - 1 | on the path, max": SPEED_ERROR,
