@@ -13,10 +13,10 @@ STYLES = {"holds": "green", "holds in part": "yellow", "does not hold": "red"}
 
 
 def print_claims(claims: Sequence[Mapping[str, Any]]) -> None:
-    """Prints a row for each claim: the verdict, what the paper says, and the evidence."""
+    """Prints a row for each claim: the verdict, what is said, and the evidence."""
     if not claims:
         return
-    table = Table(title="What the paper says", title_justify="left", show_lines=True)
+    table = Table(title="Claims", title_justify="left", show_lines=True)
     table.add_column("verdict", no_wrap=True)
     table.add_column("claim", ratio=1)
     table.add_column("evidence", ratio=1)

@@ -1,6 +1,6 @@
 """What an experiment returns: figures and tables in reading order, and verdicts."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
@@ -16,10 +16,18 @@ class Verdict(StrEnum):
     PARTLY = "holds in part"
     FAILS = "does not hold"
 
+    @classmethod
+    def of(cls, outcomes: Iterable[bool]) -> "Verdict":
+        """Holds where every outcome is good, in part where some are, else not."""
+        good = list(outcomes)
+        if good and all(good):
+            return cls.HOLDS
+        return cls.PARTLY if any(good) else cls.FAILS
+
 
 @dataclass(frozen=True)
 class Claim:
-    """Something the paper says, and what was measured of it.
+    """Something that is said of a field, and what was measured of it.
 
     Attributes:
         key: Names it, in small letters with hyphens; no two claims share one.
@@ -27,6 +35,8 @@ class Claim:
         statement: What it says, in one sentence of ours.
         verdict: Follows from the measured figures by a rule in the experiment.
         evidence: The figures, in one sentence.
+        of_paper: Whether the paper says so of what was measured; else the claim is ours, or
+            is judged by the robust recipe, which is ours.
     """
 
     key: str
@@ -34,6 +44,7 @@ class Claim:
     statement: str
     verdict: Verdict
     evidence: str
+    of_paper: bool = True
 
 
 @dataclass(frozen=True, eq=False)

@@ -121,7 +121,7 @@ class Reproduction:
             for name, result in results.items()
             for claim in result["claims"]
         ]
-        counts = Counter(claim["verdict"] for claim in claims)
+        counts = Counter(claim["verdict"] for claim in claims if claim["of_paper"])
         return {
             **MARKER,
             "quick": self.quick,

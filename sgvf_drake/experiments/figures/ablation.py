@@ -58,12 +58,21 @@ class MeasurePanel:
     Attributes:
         measure: Its column.
         label: What it is, with the unit; above the panel.
-        log: Whether the axis is logarithmic.
+        within: The range of its means.
+        log: Whether the axis is logarithmic; the means are then geometric.
     """
 
     measure: str
     label: str
+    within: tuple[float, float] = (0.0, np.inf)
     log: bool = False
+
+    def mean(self, values: FloatArray) -> tuple[float, float, float]:
+        """Returns the mean of the values of the seeds, with its interval."""
+        if self.log:
+            mean, low, high = np.exp(interval(np.log(values)))
+            return float(mean), float(low), float(high)
+        return interval(values, self.within)
 
 
 def arrow_grid(box: tuple[FloatArray, FloatArray]) -> FloatArray:
@@ -165,6 +174,7 @@ def measures_figure(
             offset = GROUP_OFFSET * (number - (len(groups) - 1) / 2)
             plot_measure(
                 panel_axes,
+                panel,
                 [
                     table.loc[(table[group] == name) & (table["variant"] == variant)][
                         panel.measure
@@ -186,18 +196,24 @@ def measures_figure(
 
 
 def plot_measure(
-    axes: Axes, values: Sequence[FloatArray], offset: float, color: str, label: str
+    axes: Axes,
+    panel: MeasurePanel,
+    values: Sequence[FloatArray],
+    offset: float,
+    color: str,
+    label: str,
 ) -> Sequence[Artist]:
     """Draws a measure: the values of the seeds faintly, their mean with its interval.
 
     Args:
         axes: Where.
+        panel: The measure.
         values: Those of the seeds at each tick.
         offset: To the right of the ticks.
         color: Of all.
         label: In the legend.
     """
-    means = np.array([interval(here) for here in values])
+    means = np.array([panel.mean(here) for here in values])
     at = np.arange(len(values)) + offset
     bars = np.nan_to_num(np.abs(means[:, 1:].T - means[:, 0]))
     drawn = axes.errorbar(

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import cycle
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -42,7 +43,7 @@ def overview_figure(rows: Sequence[OverviewRow]) -> Figure:
         ):
             plotting.plot_field(each, part, row.field.cloud.box)
             plotting.plot_waypoints(each, row.field.cloud.points)
-            plotting.plane_axes(each, "U", f"{row.recipe}: {title}")
+            plotting.plane_axes(each, "unit of the waypoints", f"{row.recipe}: {title}")
         plotting.plot_losses(losses, row.history[row.history["stage"] == "tangent"])
         losses.set_title(f"{row.recipe}: losses of v")
         _draw_agents(plane, row.agents)
@@ -50,7 +51,7 @@ def overview_figure(rows: Sequence[OverviewRow]) -> Figure:
 
 
 def _draw_agents(axes: Axes, agents: FloatArray) -> None:
-    for agent, color in zip(agents.transpose(1, 0, 2), AGENT_COLORS, strict=True):
+    for agent, color in zip(agents.transpose(1, 0, 2), cycle(AGENT_COLORS), strict=False):
         axes.plot(agent[:, 0], agent[:, 1], color=color, linewidth=1.5)
         # A start may lie on the border.
         axes.plot(*agent[0], "o", color=color, markersize=6, clip_on=False)

@@ -1,13 +1,14 @@
 """What taking a part out does to a measure, seed by seed."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
 from sgvf_drake.experiments.intervals import interval
-from sgvf_drake.experiments.outcome import Verdict
+
+COMPLETE = "complete"
+"""The variant that lacks nothing."""
 
 Interval = tuple[float, float, float]
 """A mean over the seeds with the ends of its 95 % interval."""
@@ -20,12 +21,15 @@ class Effect:
     Attributes:
         complete: Of the complete recipe.
         removed: Of the one without the part.
-        change: Of the differences of the same seed, removed less complete.
+        change: Of the differences of the same seed, removed less complete; those of the
+            logarithms for a factor.
+        is_factor: Whether the change is told as a factor.
     """
 
     complete: Interval
     removed: Interval
     change: Interval
+    is_factor: bool = False
 
     @property
     def rises(self) -> bool:
@@ -38,13 +42,18 @@ class Effect:
         return self.change[2] < 0
 
     def __str__(self) -> str:
+        told = f"{self.complete[0]:.2g} -> {self.removed[0]:.2g}"
+        if np.isnan(self.change[1]):
+            return told
+        if self.is_factor:
+            mean, low, high = np.exp(self.change)
+            return f"{told}, a factor of {mean:.2g} [{low:.2g}, {high:.2g}]"
         mean, low, high = self.change
-        between = "" if np.isnan(low) else f", change {mean:+.2g} [{low:+.2g}, {high:+.2g}]"
-        return f"{self.complete[0]:.2g} -> {self.removed[0]:.2g}{between}"
+        return f"{told}, change {mean:+.2g} [{low:+.2g}, {high:+.2g}]"
 
 
 def effect_of(
-    table: pd.DataFrame, measure: str, variant: str, complete: str = "complete"
+    table: pd.DataFrame, measure: str, variant: str, *, factor: bool = False
 ) -> Effect:
     """Returns the effect of a variant on a measure.
 
@@ -54,15 +63,10 @@ def effect_of(
         table: One row a variant and seed, columns variant, seed and the measure.
         measure: The column.
         variant: The variant that lacks the part.
-        complete: The one that has all.
+        factor: Whether the change is a factor, as for a length that may grow without bounds,
+            of which a few seeds otherwise say little.
     """
     values = table.pivot(index="seed", columns="variant", values=measure).astype(float)
-    with_part, without = values[complete].to_numpy(), values[variant].to_numpy()
-    return Effect(interval(with_part), interval(without), interval(without - with_part))
-
-
-def verdict_of(parts: Mapping[str, bool]) -> Verdict:
-    """Returns holds where every part of a claim was found, else in part where any was."""
-    if all(parts.values()):
-        return Verdict.HOLDS
-    return Verdict.PARTLY if any(parts.values()) else Verdict.FAILS
+    with_part, without = values[COMPLETE].to_numpy(), values[variant].to_numpy()
+    change = np.log(without / with_part) if factor else without - with_part
+    return Effect(interval(with_part), interval(without), interval(change), factor)

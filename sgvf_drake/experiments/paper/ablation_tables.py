@@ -3,10 +3,15 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
-from sgvf_drake.experiments.intervals import SHARE, interval_columns
+from sgvf_drake.experiments.intervals import interval_columns
 from sgvf_drake.experiments.workbench import Record
+
+Range = tuple[float, float]
+ANY: Range = (-np.inf, np.inf)
+POSITIVE: Range = (0.0, np.inf)
 
 
 def field_table(labels: Sequence[Mapping[str, Any]], records: Sequence[Record]) -> pd.DataFrame:
@@ -29,8 +34,7 @@ def seeds_table(
     groups: Sequence[str],
     names: Mapping[str, str],
     counts: Mapping[str, str],
-    means: Mapping[str, str],
-    shares: Mapping[str, str] | None = None,
+    means: Mapping[str, tuple[str, Range]],
 ) -> pd.DataFrame:
     """Returns one row a group, with what its seeds say.
 
@@ -39,8 +43,8 @@ def seeds_table(
         groups: The columns that make a group, the last the variant.
         names: What each variant is called.
         counts: Columns "k of n" by their header, of a yes-or-no measure.
-        means: Columns of means with their interval by their header.
-        shares: The same of shares, which come before them.
+        means: Columns of means with their interval by their header, each of a measure and
+            the range of its mean.
     """
     rows = []
     for key, fields in table.groupby(list(groups), sort=False):
@@ -49,9 +53,7 @@ def seeds_table(
         row["variant"] = names[row["variant"]]
         for header, measure in counts.items():
             row[header] = f"{int(fields[measure].sum())} of {len(fields)}"
-        for header, measure in (shares or {}).items():
-            row.update(interval_columns(header, fields[measure].astype(float), SHARE))
-        for header, measure in means.items():
-            row.update(interval_columns(header, fields[measure].astype(float)))
+        for header, (measure, within) in means.items():
+            row.update(interval_columns(header, fields[measure].astype(float), within))
         rows.append(row)
     return pd.DataFrame(rows)

@@ -1,7 +1,8 @@
 """What the paper says of the classical methods and of its own, against what was measured.
 
 A method handles a case if 95 % of the starts succeed and 95 % of the waypoints are passed,
-on average over the seeds; it is broken if 5 % of the starts succeed, or fewer.
+on average over the seeds; in part, if half of both; it is broken if 5 % of the starts succeed,
+or fewer.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -11,6 +12,7 @@ from sgvf_drake.experiments.outcome import Claim, Verdict
 from sgvf_drake.experiments.paper.baseline_methods import CASES, LEARNED, METHODS
 
 HANDLED = 0.95
+HALF = 0.5
 BROKEN = 0.05
 INTERPOLATIONS = ("fourier", "lagrange", "parametric")
 CLASSICAL = tuple(name for name in METHODS if name not in LEARNED)
@@ -53,6 +55,9 @@ class _Shares:
     def handles(self, method: str, case: str) -> bool:
         return min(self.means[case, method]) >= HANDLED
 
+    def handles_in_part(self, method: str, case: str) -> bool:
+        return min(self.means[case, method]) >= HALF
+
     def is_broken(self, method: str, case: str) -> bool:
         return self.means[case, method][0] <= BROKEN
 
@@ -77,7 +82,7 @@ def _interpolation(shares: _Shares) -> Claim | None:
         "Section I, Fig. 1 (left)",
         "Ordered waypoints are interpolated, by Lagrange's or Fourier's method, to a curve "
         "that a classical guiding vector field follows.",
-        _all_some_none([shares.handles(method, "ordered") for method in methods]),
+        Verdict.of([shares.handles(method, "ordered") for method in methods]),
         f"Starts that lap the path: {shares.words('ordered', methods)}.",
     )
 
@@ -92,7 +97,7 @@ def _shuffled(shares: _Shares) -> Claim | None:
         "baselines-shuffled",
         "Section I, Fig. 1 (middle)",
         "Shuffled waypoints break what takes their order for that of the path.",
-        _all_some_none([shares.is_broken(method, "shuffled") for method in methods]),
+        Verdict.of([shares.is_broken(method, "shuffled") for method in methods]),
         f"Starts that lap the path: {shares.words('shuffled', methods)}.",
     )
 
@@ -153,7 +158,7 @@ def _own(shares: _Shares) -> Claim | None:
         "baselines-sgvf",
         "Abstract, Section I (contribution 1)",
         "SGVF follows unordered, noisy and branching waypoints in one framework.",
-        _all_some_none([shares.handles("paper", case) for case in cases]),
+        Verdict.of([shares.handles("paper", case) for case in cases]),
         f"Judged by the paper's own recipe; starts that succeed on {evidence}.",
     )
 
@@ -168,28 +173,24 @@ def _where_others_fail(shares: _Shares) -> Claim | None:
         if not any(shares.handles(method, case) for method in shares.methods(case, CLASSICAL))
     ]
     if left:
-        handled = [
-            any(shares.handles(method, case) for method in shares.methods(case, LEARNED))
-            for case in left
-        ]
-        verdict = _all_some_none(handled)
-        found = "No classical method, sorting first included, handles " + "; ".join(
+        own = [(case, shares.methods(case, LEARNED)) for case in left]
+        if all(any(shares.handles(one, case) for one in found) for case, found in own):
+            verdict = Verdict.HOLDS
+        elif any(shares.handles_in_part(one, case) for case, found in own for one in found):
+            verdict = Verdict.PARTLY
+        else:
+            verdict = Verdict.FAILS
+        evidence = "No classical method, sorting first included, handles " + "; ".join(
             shares.words(case, LEARNED) for case in left
         )
     else:
         verdict = Verdict.FAILS
         labels = ", ".join(CASES[case].label for case in cases)
-        found = f"Some classical method handles each of the cases ({labels})"
+        evidence = f"Some classical method handles each of the cases ({labels})"
     return Claim(
         "baselines-advantage",
         "Abstract, Section VII",
         "SGVF follows paths reliably on which classical guiding vector fields fail.",
         verdict,
-        f"{found}.",
+        f"{evidence}.",
     )
-
-
-def _all_some_none(outcomes: Sequence[bool]) -> Verdict:
-    if all(outcomes):
-        return Verdict.HOLDS
-    return Verdict.PARTLY if any(outcomes) else Verdict.FAILS

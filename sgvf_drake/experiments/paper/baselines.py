@@ -159,7 +159,8 @@ _FIGURE_CAPTION = (
     "share of those that do, and of how many of the waypoints if that is not all."
 )
 CAPTIONS = {
-    "ordered": "Evenly spaced waypoints on a smooth curve, in their order.",
+    "ordered": "Evenly spaced waypoints on a smooth curve, in their order. What asks for no "
+    "order has the same trials here as shuffled.",
     "shuffled": "The same waypoints in random order.",
     "noisy": "The same with noise of 0.05 U, in random order.",
     "branching": "Three bent arms from one middle, arm by arm, from the middle out.",

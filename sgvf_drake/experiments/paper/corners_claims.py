@@ -61,9 +61,7 @@ def _stall_claim(square: pd.DataFrame) -> Claim:
 def _hexagon_claim(square: pd.DataFrame, hexagon: pd.DataFrame) -> Claim:
     pairs = square.merge(hexagon, on="seed", suffixes=("", "_hexagon"))
     less = interval(pairs["stalled_near"] - pairs["stalled_near_hexagon"])
-    verdict = Verdict.PARTLY if less[0] > 0 else Verdict.FAILS
-    if less[1] > 0:
-        verdict = Verdict.HOLDS
+    verdict = Verdict.HOLDS if less[1] > 0 else Verdict.FAILS
     return Claim(
         "corners-hexagon-less",
         f"{SECTION}, Fig. 6 (b)",
@@ -78,9 +76,11 @@ def _hexagon_claim(square: pd.DataFrame, hexagon: pd.DataFrame) -> Claim:
 
 def _deep_claim(shallow: pd.DataFrame, deep: pd.DataFrame) -> Claim:
     pairs = shallow.merge(deep, on=["corners", "seed"], suffixes=("", "_deep"))
-    less = interval(pairs["trapped"] - pairs["trapped_deep"])
+    # Where the field runs against itself, a trap is not the corner's.
+    less = interval(pairs["trapped_locally"] - pairs["trapped_locally_deep"])
     verdict = Verdict.PARTLY if less[1] > 0 else Verdict.FAILS
-    if not (deep["trapped"] > 0).any() and not (deep["stalled_near"] > 0).any():
+    is_free = not (deep["trapped_locally"] > 0).any() and not deep["undecided"].any()
+    if is_free and not (deep["stalled_near"] > 0).any():
         verdict = Verdict.HOLDS
     hexagon = deep[deep["corners"] == HEXAGON]
     return Claim(
@@ -88,10 +88,11 @@ def _deep_claim(shallow: pd.DataFrame, deep: pd.DataFrame) -> Claim:
         f"{SECTION}, Fig. 6 (c)",
         "A deeper tangent network eliminates corner attraction entirely.",
         verdict,
-        f"A trap is near a corner in {(deep['trapped'] > 0).sum()} of {len(deep)} deep fields "
-        f"(hexagons: {(hexagon['trapped'] > 0).sum()} of {len(hexagon)}) and in "
-        f"{(shallow['trapped'] > 0).sum()} of {len(shallow)} shallow ones; of all corners "
-        f"{deep['trapped'].mean():.0%} against {shallow['trapped'].mean():.0%} have one. "
+        f"A corner traps in {(deep['trapped_locally'] > 0).sum()} of {len(deep)} deep fields "
+        f"(hexagons: {(hexagon['trapped_locally'] > 0).sum()} of {len(hexagon)}) and in "
+        f"{(shallow['trapped_locally'] > 0).sum()} of {len(shallow)} shallow ones; of all "
+        f"corners {deep['trapped_locally'].mean():.0%} against "
+        f"{shallow['trapped_locally'].mean():.0%} do. "
         f"{deep['stalled_near'].mean():.0%} of the starts stall near a corner, against "
         f"{shallow['stalled_near'].mean():.0%}; in {(deep['turns'] > 0).sum()} deep fields "
         "the sides do not all run the same way around.",
@@ -107,7 +108,7 @@ def _pause_claim(shallow: pd.DataFrame) -> Claim:
     return Claim(
         "corners-pauses",
         SECTION,
-        "Near corners a shallow network traps the agent for a while: it pauses and goes on.",
+        "A shallow network traps the agent for a while: it pauses and goes on.",
         verdict,
         f"Near corners |m| falls to {_share(slow)} of what it falls to about the middle of a "
         f"side. {paused:.1%} of the agents on squares and hexagons stand still for a while and "
@@ -119,9 +120,8 @@ def _angle_claim(shallow: pd.DataFrame) -> Claim:
     correlation, p_value = 0.0, 1.0
     if len(shallow) > 2 and min(shallow[["angle", "trapped"]].nunique()) > 1:
         correlation, p_value = map(float, spearmanr(shallow["angle"], shallow["trapped"]))
-    verdict = Verdict.PARTLY if correlation < 0 else Verdict.FAILS
-    if correlation < 0 and p_value < SIGNIFICANCE:
-        verdict = Verdict.HOLDS
+    significant = correlation < 0 and p_value < SIGNIFICANCE
+    verdict = Verdict.HOLDS if significant else Verdict.FAILS
     by_angle = shallow.groupby("angle")["trapped"].mean()
     parts = ", ".join(f"{share:.0%} at {angle:g}" for angle, share in by_angle.items())
     return Claim(

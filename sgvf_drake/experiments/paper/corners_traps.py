@@ -161,8 +161,9 @@ def examine(
     Returns:
         stalled, stalled_near, lapped, paused: shares of the starts; near: share of the
         stalled ones that are near a corner (NaN without any); trapped: share of the corners
-        with a trap nearby, trapped_locally: without a clash; turns: on how many corners the
-        field runs against itself; speed_corner, speed_side: see `slow_down`; rms, max.
+        with a trap nearby, trapped_locally: without a clash; undecided: cells of the search
+        for zeros; turns: on how many corners the field runs against itself; speed_corner,
+        speed_side: see `slow_down`; rms, max.
     """
     unit = row["unit"]
     stalled = np.array(row["stalled"], bool)
@@ -179,6 +180,7 @@ def examine(
         "paused": np.mean(row["paused"]),
         "trapped": _share_of_corners(traps, traps.places.near, corners),
         "trapped_locally": _share_of_corners(traps, traps.places.near & ~traps.clash, corners),
+        "undecided": int(row["undecided"]),
         "turns": int((way != np.roll(way, 1)).sum()),
         "speed_corner": speed_corner,
         "speed_side": speed_side,

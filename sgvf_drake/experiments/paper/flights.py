@@ -18,7 +18,7 @@ from sgvf_drake.experiments.tour import TourResult
 from sgvf_drake.experiments.workbench import Record, Workbench
 from sgvf_drake.fields import load_field
 from sgvf_drake.metrics import REACH_DISTANCE
-from sgvf_drake.paths import make_shape
+from sgvf_drake.paths import make_shape, shape_path
 from systems import FieldForSpeed, QuadrotorParameters
 
 PARTS_CAPTION = (
@@ -85,12 +85,23 @@ class Flights:
             raise ConfigurationError(
                 f"there are {len(self.shapes)} shapes to fly, but {len(self.tours)} tours"
             )
-        try:
-            return [tuple(int(piece) - 1 for piece in tour.split(",")) for tour in self.tours]
-        except ValueError:
-            raise ConfigurationError(
-                f"a tour is a list of pieces as in '1,2,1', not one of {self.tours}"
-            ) from None
+        return [
+            _pieces(tour, len(shape_path(shape).pieces))
+            for shape, tour in zip(self.shapes, self.tours, strict=True)
+        ]
+
+
+def _pieces(tour: str, count: int) -> tuple[int, ...]:
+    """Reads a tour of a path of so many pieces, numbered from 1; returns them from 0 on."""
+    try:
+        pieces = tuple(int(piece) - 1 for piece in tour.split(","))
+    except ValueError:
+        pieces = (-1,)
+    if not all(0 <= piece < count for piece in pieces):
+        raise ConfigurationError(
+            f"a tour is a list of pieces from 1 to {count} as in '1,2,1', not {tour!r}"
+        )
+    return pieces
 
 
 def make_flight(trial: FlightTrial, record: Record) -> Flight:

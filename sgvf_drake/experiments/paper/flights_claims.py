@@ -7,8 +7,9 @@ from sgvf_drake.experiments.outcome import Claim, Verdict
 from sgvf_drake.experiments.paper.flights_measures import Motion
 
 SECTION = "Section V-B, Fig. 3"
-# The speed stays between these parts of the commanded one.
-SLOWEST, FASTEST = 0.5, 1.5
+# The speed stays below this many times the commanded one.  How slow the field is belongs to
+# another claim.
+FASTEST = 1.5
 # Within one sample of 10 ms the velocity changes by at most this part of the commanded speed,
 # and a force by this part of its limit; more is a jump.
 LARGEST_STEP = 0.05
@@ -67,8 +68,7 @@ class Flight:
         if motion is None:
             return False
         return (
-            SLOWEST * self.speed_m_s <= motion.speed_min_m_s
-            and motion.speed_max_m_s <= FASTEST * self.speed_m_s
+            motion.speed_max_m_s <= FASTEST * self.speed_m_s
             and motion.force_min_n > 0
             and motion.force_max_n < self.limit_n
             and motion.velocity_step_m_s <= LARGEST_STEP * self.speed_m_s
@@ -96,7 +96,7 @@ def _branches_claim(recipe: str, flights: Sequence[Flight]) -> Claim:
         evidence += (
             f", with a cross-track RMS of at most "
             f"{1e3 * max(flight.rms_m for flight in followed):.1f} mm and a largest error of "
-            f"{1e3 * max(flight.max_m for flight in followed):.0f} mm (on the way in)"
+            f"{1e3 * max(flight.max_m for flight in followed):.0f} mm"
         )
     others = [flight for flight in flights if not flight.follows]
     if others:
@@ -107,8 +107,9 @@ def _branches_claim(recipe: str, flights: Sequence[Flight]) -> Claim:
         f"flights-branches-{recipe}",
         SECTION,
         f"One field lets a quadrotor follow several branches in turn (recipe {recipe}).",
-        _verdict(good),
+        Verdict.of(good),
         evidence + ".",
+        of_paper=recipe == "paper",
     )
 
 
@@ -130,12 +131,7 @@ def _smooth_claim(recipe: str, flights: Sequence[Flight]) -> Claim:
         f"flights-smooth-{recipe}",
         SECTION,
         f"Velocity and motor inputs remain smooth and bounded (recipe {recipe}).",
-        _verdict(good),
+        Verdict.of(good),
         evidence + ".",
+        of_paper=recipe == "paper",
     )
-
-
-def _verdict(good: Sequence[bool]) -> Verdict:
-    if all(good):
-        return Verdict.HOLDS
-    return Verdict.PARTLY if any(good) else Verdict.FAILS

@@ -56,8 +56,7 @@ AGENTS_CAPTION = (
 ORDER_CAPTION = (
     "By how much fields differ that were trained on two orders of the same waypoints with the "
     "same seed, beside those of two seeds on ordered waypoints (root mean square of the "
-    "difference of m, where |m| = 1): the order acts as another seed does. The exact score "
-    "does not depend on the order at all."
+    "difference of m, where |m| = 1). The exact score does not depend on the order at all."
 )
 
 

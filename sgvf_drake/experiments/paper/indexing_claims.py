@@ -70,7 +70,7 @@ def _preserved_claim(rows: Sequence[Row]) -> Claim:
         "indexing-ordered",
         SECTION,
         "Orderly indexing preserves the shape of the waypoints.",
-        _verdict([is_preserved(row) for row in rows]),
+        Verdict.of([is_preserved(row) for row in rows]),
         f"{_curves(rows)}.",
     )
 
@@ -80,7 +80,7 @@ def _broken_claim(rows: Sequence[Row], agents: Agents) -> Claim:
         "indexing-shuffled",
         SECTION,
         "Shuffled waypoints break the interpolation.",
-        _verdict([is_broken(row) for row in rows]),
+        Verdict.of([is_broken(row) for row in rows]),
         f"{sum(map(is_broken, rows))} of {len(rows)} curves are broken, the least of them "
         f"{min(row['length_ratio'] for row in rows):.1f} times too long; of the agents "
         f"{_success(agents, 'shuffled')} succeed.",
@@ -91,8 +91,9 @@ def _branching_claim(rows: Sequence[Row], agents: Agents) -> Claim:
     return Claim(
         "indexing-branching",
         SECTION,
-        "Branching waypoints cannot be sequentially indexed.",
-        _verdict([is_broken(row) for row in rows]),
+        "Branching waypoints cannot be sequentially indexed: an order arm by arm, the best "
+        "there is, breaks the interpolation.",
+        Verdict.of([is_broken(row) for row in rows]),
         f"Given arm by arm: {_curves(rows)}; of the agents {_success(agents, 'branching')} "
         "succeed.",
     )
@@ -108,9 +109,10 @@ def _free_claim(
         "indexing-free",
         SECTION,
         f"SGVF needs no order of the waypoints (recipe {recipe}).",
-        _verdict(good),
+        Verdict.of(good),
         f"Another order changes m by {order:.3f} (RMS over the box), another seed by "
         f"{seed:.3f}; of the agents on shuffled waypoints at least {success:.0%} succeed.",
+        of_paper=recipe == "paper",
     )
 
 
@@ -130,6 +132,7 @@ def _branches_claim(recipe: str, rows: Sequence[Row]) -> Claim:
         verdict,
         f"{success:.0%} of the agents follow the branches, and pass {coverage:.0%} of the "
         "waypoints; a field without memory has one direction at the fork.",
+        of_paper=recipe == "paper",
     )
 
 
@@ -148,9 +151,3 @@ def _success(agents: Agents, case: str) -> str:
         if own == case
     ]
     return ", ".join(shares)
-
-
-def _verdict(good: Sequence[bool]) -> Verdict:
-    if all(good):
-        return Verdict.HOLDS
-    return Verdict.PARTLY if any(good) else Verdict.FAILS

@@ -10,9 +10,10 @@ from sgvf_drake.experiments.figures.ablation import (
     measures_figure,
     variants_figure,
 )
+from sgvf_drake.experiments.intervals import SHARE
 from sgvf_drake.experiments.outcome import Exhibit, Outcome
 from sgvf_drake.experiments.paper.ablation_panels import panels_of
-from sgvf_drake.experiments.paper.ablation_tables import field_table, seeds_table
+from sgvf_drake.experiments.paper.ablation_tables import ANY, POSITIVE, field_table, seeds_table
 from sgvf_drake.experiments.paper.loss_ablation_claims import loss_claims
 from sgvf_drake.experiments.paper.loss_ablation_trials import (
     COMPLETE,
@@ -35,12 +36,12 @@ NAMES = {
 # Lengths of v that are told apart by colour.
 SPAN = (0.05, 5.0)
 PANELS = (
-    MeasurePanel("lengths.m_error", "RMS of $|m| - 1$ in the box", log=True),
-    MeasurePanel("lengths.fading", "mean $|v|$ near / away from the path"),
-    MeasurePanel("drift.beside_cosine", "mean $|\\cos(s, v)|$ beside the path"),
+    MeasurePanel("lengths.v_box_max", "longest $v$ in the box", log=True),
+    MeasurePanel("lengths.fading", "mean $|v|$ near / away from the path", log=True),
+    MeasurePanel("drift.beside_cosine", "mean $|\\cos(s, v)|$ beside the path", SHARE),
     MeasurePanel("drift.drift_u", "off the path after 3 U along $v$ [U]"),
     MeasurePanel("tangent.sources", "sources of $v$ on a ring"),
-    MeasurePanel("following.lap", "share of starts that lap"),
+    MeasurePanel("following.lap", "share of starts that lap", SHARE),
 )
 FOLLOWING_CAPTION = (
     "The fields followed from a grid of starts: a field is followable when every start "
@@ -107,7 +108,8 @@ class LossAblation:
                 Exhibit(
                     "measures",
                     "The measures of the claims, every seed and means with 95 % intervals: "
-                    "what the removal of a loss changes beyond the scatter of the seeds.",
+                    "what the removal of a loss changes beyond the scatter of the seeds. On "
+                    "logarithmic axes the means are geometric.",
                     measures_figure(table, PANELS, "network", NAMES),
                 ),
                 Exhibit("following", FOLLOWING_CAPTION, following_table(table)),
@@ -147,15 +149,13 @@ def following_table(table: pd.DataFrame) -> pd.DataFrame:
         ("network", "variant"),
         NAMES,
         counts={"followable seeds": "following.followable"},
-        shares={
-            "reach": "following.reach",
-            "lap": "following.lap",
-            "stall": "following.stall",
-            "leave": "following.leave",
-        },
         means={
-            "RMS, U": "following.rms_u",
-            "slowest |m| on the path": "following.speed_min",
+            "reach": ("following.reach", SHARE),
+            "lap": ("following.lap", SHARE),
+            "stall": ("following.stall", SHARE),
+            "leave": ("following.leave", SHARE),
+            "RMS, U": ("following.rms_u", POSITIVE),
+            "slowest |m| on the path": ("following.speed_min", POSITIVE),
         },
     )
 
@@ -168,14 +168,16 @@ def claims_table(table: pd.DataFrame) -> pd.DataFrame:
         NAMES,
         counts={},
         means={
-            "RMS of |m| - 1, box": "lengths.m_error",
-            "|v| near / away": "lengths.fading",
-            "|cos(s, v)| beside": "drift.beside_cosine",
-            "outward part of v": "drift.outward",
-            "off after 3 U along v, U": "drift.drift_u",
-            "sources of v a ring": "tangent.sources",
-            "rings of two ways, v": "tangent.conflicted",
-            "rings of two ways, m": "whole.conflicted",
+            "longest v, box": ("lengths.v_box_max", POSITIVE),
+            "RMS of |m| - 1, box": ("lengths.m_error", POSITIVE),
+            "|v| near / away": ("lengths.fading", POSITIVE),
+            "|v| > |s|, away": ("lengths.leads_away", SHARE),
+            "|cos(s, v)| beside": ("drift.beside_cosine", SHARE),
+            "outward part of v": ("drift.outward", ANY),
+            "off after 3 U along v, U": ("drift.drift_u", POSITIVE),
+            "sources of v a ring": ("tangent.sources", POSITIVE),
+            "rings of two ways, v": ("tangent.conflicted", SHARE),
+            "rings of two ways, m": ("whole.conflicted", SHARE),
         },
     )
 
@@ -188,11 +190,11 @@ def checks_table(table: pd.DataFrame) -> pd.DataFrame:
         NAMES,
         counts={"holds": "check.holds", "has a band": "check.band"},
         means={
-            "zeros of m near the path": "check.zeros",
-            "smallest |m| there": "check.slowest",
-            "V falls, part of the box": "check.falls",
-            "eps = |cos(s, v)|, box": "check.cosine",
-            "| |m| - 1 |, box": "check.length_error",
+            "zeros of m near the path": ("check.zeros", POSITIVE),
+            "smallest |m| there": ("check.slowest", POSITIVE),
+            "V falls, part of the box": ("check.falls", SHARE),
+            "eps = |cos(s, v)|, box": ("check.cosine", SHARE),
+            "| |m| - 1 |, box": ("check.length_error", POSITIVE),
         },
     )
     firsts = table.groupby(["network", "variant"], sort=False)["check.reason"].first()

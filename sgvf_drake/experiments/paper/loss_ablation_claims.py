@@ -12,16 +12,13 @@ from collections.abc import Callable
 import pandas as pd
 
 from sgvf_drake.experiments.outcome import Claim, Verdict
-from sgvf_drake.experiments.paper.ablation_effects import (
-    Effect,
-    effect_of,
-    verdict_of,
-)
+from sgvf_drake.experiments.paper.ablation_effects import Effect, effect_of
 from sgvf_drake.experiments.paper.loss_ablation_trials import (
     COMPLETE,
     NO_DIRECTION,
     NO_ORTHOGONALITY,
     NO_UNIT,
+    VARIANTS,
 )
 
 SOURCE = "Section V-C, Fig. 4"
@@ -68,17 +65,24 @@ def loss_claims(table: pd.DataFrame) -> list[Claim]:
 def unit_parts(table: pd.DataFrame) -> Parts:
     """Returns the parts of (a) in one network.
 
-    Magnitudes are uncontrolled where the length of m departs more from one over the box; the
-    order of near and far is disrupted where |v| near over |v| away, above one in the
-    complete recipe, falls.
+    Magnitudes are uncontrolled where the longest v of the box is longer; the length of m is
+    the loss that was removed, and says nothing.
+    That v dominates near the path and diminishes away from it is read in two ways: as |v|
+    near over |v| away, which is above one in the complete recipe and falls; and as v being
+    longer than s in less than half of what is away, and in more of it without the loss.
     """
-    error = effect_of(table, "lengths.m_error", NO_UNIT)
-    fading = effect_of(table, "lengths.fading", NO_UNIT)
+    longest = effect_of(table, "lengths.v_box_max", NO_UNIT, factor=True)
+    fading = effect_of(table, "lengths.fading", NO_UNIT, factor=True)
+    leads = effect_of(table, "lengths.leads_away", NO_UNIT)
     return {
-        "RMS of |m| - 1 over the box": (error.rises, error),
+        "longest v in the box": (longest.rises, longest),
         "|v| near the path over |v| away": (
             fading.complete[1] > 1 and fading.falls,
             fading,
+        ),
+        "share of what is away where v is longer than s": (
+            leads.complete[0] < 0.5 and leads.rises,
+            leads,
         ),
     }
 
@@ -107,19 +111,19 @@ def direction_parts(table: pd.DataFrame) -> Parts:
     """Returns the parts of (c) in one network.
 
     There are conflicting directions where more rings are not run through one way, and none
-    is that way in the complete recipe; one line of each kind where a ring has about one
-    source, by the interval.
+    is that way in the complete recipe; one line of each kind where the rings of every
+    seed have one source on average, to a half.
     """
     conflicted = effect_of(table, "tangent.conflicted", NO_DIRECTION)
     sources = effect_of(table, "tangent.sources", NO_DIRECTION)
-    low, high = sources.removed[1:]
+    here = table.loc[table["variant"] == NO_DIRECTION, "tangent.sources"]
     return {
         "share of rings with two directions": (
             conflicted.rises and conflicted.complete[0] == 0,
             conflicted,
         ),
         "sources of a ring": (
-            sources.rises and low <= 1 <= high,
+            sources.rises and bool((abs(here - 1) <= 0.5).all()),
             sources,
         ),
     }
@@ -136,13 +140,9 @@ def _claim(
         str(network): parts_of(fields)
         for network, fields in table.groupby("network", sort=False)
     }
-    found = {
-        f"{network}, {name}": there
-        for network, here in parts.items()
-        for name, (there, _) in here.items()
-    }
+    found = [there for here in parts.values() for there, _ in here.values()]
     evidence = " ".join(f"{network}: {_told(here)}." for network, here in parts.items())
-    return Claim(key, source, statement, verdict_of(found), evidence)
+    return Claim(key, source, statement, Verdict.of(found), evidence)
 
 
 def _told(parts: Parts) -> str:
@@ -158,19 +158,21 @@ def _complete(table: pd.DataFrame) -> Claim:
     It holds where every seed of every network is followable, in part where any is.
     """
     fields = table[table["variant"] == COMPLETE]
-    counts = [
-        f"{int(seeds['following.followable'].sum())} of {len(seeds)} seeds with {network}"
-        for network, seeds in fields.groupby("network", sort=False)
-    ]
     followable = fields["following.followable"].astype(bool)
-    verdict = Verdict.PARTLY if followable.any() else Verdict.FAILS
-    if followable.all():
-        verdict = Verdict.HOLDS
+    told = "; ".join(
+        f"{network}: " + ", ".join(_counted(rows, variant) for variant in VARIANTS)
+        for network, rows in table.groupby("network", sort=False)
+    )
     return Claim(
         "all-losses",
         "Section V-C",
-        "With all three losses the guiding field is reliable: from everywhere, agents follow "
-        "both rings all the way around.",
-        verdict,
-        f"Every start completes a lap in {' and '.join(counts)}.",
+        "With all three losses the guiding field is reliable; measured by more than the two "
+        "agents of the paper: all starts of a grid follow the rings all the way around.",
+        Verdict.of(followable),
+        f"Seeds in which every start completes a lap: {told}.",
     )
+
+
+def _counted(table: pd.DataFrame, variant: str) -> str:
+    seeds = table[table["variant"] == variant]["following.followable"]
+    return f"{variant} {int(seeds.sum())} of {len(seeds)}"

@@ -27,7 +27,7 @@ FIELDS_CAPTION = (
     "Agents from a grid over the box in every trained field, over the seeds. A field is "
     "followed where all starts lap, and on both pieces. RMS and largest distance from the "
     "path are over the last lap of those that settled; |m| is the speed on the path at a "
-    "commanded speed of one."
+    "commanded speed of one. The robust recipe may start again, the paper's does not."
 )
 LOSSES_CAPTION = (
     "The losses of the tangent network, each times its weight, mean over the seeds: in the "

@@ -11,6 +11,8 @@ PARTS = 10
 # The total has come to rest when its last two parts differ by no more than this part of it, or
 # by no more than so many standard errors of what one batch differs from another...
 REST, ERRORS = 0.1, 2.0
+# ... but by no more than this, however noisy it is;
+LARGEST_CHANGE = 0.25
 # ... and has been stable when no part of the second half exceeds the end by this factor.
 STABLE = 1.5
 
@@ -36,7 +38,7 @@ class LossCourse:
     @property
     def converged(self) -> bool:
         """Whether it fell, came to rest, and was stable on the way."""
-        rests = abs(self.change) <= max(REST, ERRORS * self.error)
+        rests = abs(self.change) <= min(max(REST, ERRORS * self.error), LARGEST_CHANGE)
         return self.end < self.begin and rests and self.peak <= STABLE
 
 

@@ -11,9 +11,10 @@ from sgvf_drake.experiments.figures.ablation import (
     measures_figure,
     variants_figure,
 )
+from sgvf_drake.experiments.intervals import SHARE
 from sgvf_drake.experiments.outcome import Exhibit, Outcome
 from sgvf_drake.experiments.paper.ablation_panels import panels_of
-from sgvf_drake.experiments.paper.ablation_tables import field_table, seeds_table
+from sgvf_drake.experiments.paper.ablation_tables import POSITIVE, field_table, seeds_table
 from sgvf_drake.experiments.paper.recipe_ablation_claims import (
     SPEED_ERROR,
     recipe_claims,
@@ -38,15 +39,16 @@ NAMES = {
     NO_HINT: "no hint",
     NO_PROJECTION: "no projection",
 }
+COSINE = (-1.0, 1.0)
 # Lengths of m that are told apart by colour.
 SPAN = (0.2, 2.0)
 PANELS = (
-    MeasurePanel("following.lap", "share of starts that lap"),
+    MeasurePanel("following.lap", "share of starts that lap", SHARE),
     MeasurePanel("following.rms_u", "RMS error [U]", log=True),
     MeasurePanel("following.max_u", "largest error [U]", log=True),
     MeasurePanel(SPEED_ERROR, "largest $| |m| - 1 |$ on the path", log=True),
-    MeasurePanel("score.score_cosine", "cosine of the score with the exact one"),
-    MeasurePanel("score.orthogonality", "mean $|\\cos(S, v)|$ near the path"),
+    MeasurePanel("score.score_cosine", "cosine of the score with the exact one", COSINE),
+    MeasurePanel("score.orthogonality", "mean $|\\cos(S, v)|$ near the path", SHARE),
 )
 FOLLOWING_CAPTION = (
     "How the fields are followed from a grid of starts, without restarts; means with 95 % "
@@ -111,7 +113,8 @@ class RecipeAblation:
                 Exhibit(
                     "measures",
                     "Every seed, and means with 95 % intervals: what the removal of a part "
-                    "changes beyond the scatter of the seeds.",
+                    "changes beyond the scatter of the seeds. On logarithmic axes the means "
+                    "are geometric.",
                     measures_figure(table, PANELS, "shape", names),
                 ),
                 Exhibit("following", FOLLOWING_CAPTION, following_table(table)),
@@ -153,16 +156,14 @@ def following_table(table: pd.DataFrame) -> pd.DataFrame:
         ("shape", "variant"),
         NAMES,
         counts={"followable seeds": "following.followable"},
-        shares={
-            "reach": "following.reach",
-            "lap": "following.lap",
-            "stall": "following.stall",
-            "leave": "following.leave",
-        },
         means={
-            "RMS, U": "following.rms_u",
-            "max, U": "following.max_u",
-            "| |m| - 1 | on the path, max": SPEED_ERROR,
+            "reach": ("following.reach", SHARE),
+            "lap": ("following.lap", SHARE),
+            "stall": ("following.stall", SHARE),
+            "leave": ("following.leave", SHARE),
+            "RMS, U": ("following.rms_u", POSITIVE),
+            "max, U": ("following.max_u", POSITIVE),
+            "| |m| - 1 | on the path, max": (SPEED_ERROR, POSITIVE),
         },
     )
 
@@ -175,11 +176,11 @@ def inside_table(table: pd.DataFrame) -> pd.DataFrame:
         NAMES,
         counts={"checks hold": "check.holds", "self-check passes": "passed"},
         means={
-            "cos of the score": "score.score_cosine",
-            "its 5th percentile": "score.score_cosine_p5",
-            "its bias, U": "score.score_bias_u",
-            "|cos(S, v)|": "score.orthogonality",
-            "smallest |m| in the tube": "check.slowest",
-            "V falls, part of the box": "check.falls",
+            "cos of the score": ("score.score_cosine", COSINE),
+            "its 5th percentile": ("score.score_cosine_p5", COSINE),
+            "its bias, U": ("score.score_bias_u", POSITIVE),
+            "|cos(S, v)|": ("score.orthogonality", SHARE),
+            "smallest |m| in the tube": ("check.slowest", POSITIVE),
+            "V falls, part of the box": ("check.falls", SHARE),
         },
     )

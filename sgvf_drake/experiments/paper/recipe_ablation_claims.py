@@ -126,11 +126,12 @@ def _claim(table: pd.DataFrame, variant: str, statement: str) -> Claim:
     found = findings_of(table, variant)
     worse = [finding for finding in found if finding.is_worse]
     better = [finding for finding in found if not finding.is_worse]
+    gain, loss = (any(finding.measure.counts for finding in part) for part in (worse, better))
     verdict = Verdict.PARTLY if worse else Verdict.FAILS
-    if any(finding.measure.counts for finding in worse):
+    if gain and not loss:
         verdict = Verdict.HOLDS
     evidence = f"Worse without it: {_listed(worse)}; better without it: {_listed(better)}."
-    return Claim(f"robust-{variant}", SOURCE, statement, verdict, evidence)
+    return Claim(f"robust-{variant}", SOURCE, statement, verdict, evidence, of_paper=False)
 
 
 def _listed(findings: list[Finding]) -> str:

@@ -36,9 +36,9 @@ FIGURE_CAPTION = (
 SCORES_CAPTION = (
     "The residual of Stein's identity, root mean square over the test fields, and the means "
     "E[S] and E[S log p] that should be zero; all in per cent of the largest value that the "
-    "Cauchy-Schwarz inequality allows. The identity says 2 to 4 % of that, so a residual of "
-    "2 % is as large as what it says. A learned score is tested on the density that it "
-    "learned, whose noise level the robust recipe sets by the spacing of the waypoints."
+    "Cauchy-Schwarz inequality allows. What the identity says is a small part of that; see "
+    "the figure. A learned score is tested on the density that it learned, whose noise level "
+    "the robust recipe sets by the spacing of the waypoints."
 )
 PROBES_CAPTION = (
     "The residual with each test field, in per cent as above, beside what the identity says "

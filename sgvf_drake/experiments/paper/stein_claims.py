@@ -85,6 +85,7 @@ def _learned_claim(recipe: str, learned: Finding) -> Claim:
         f"The residual is {learned.share:.0%} of what the identity says (up to "
         f"{learned.z:.0f} standard errors), E[S] is {learned.means.mean():.1%} of its size, "
         f"and the error of the score {learned.score_errors.mean():.0%} of it (RMS).",
+        of_paper=recipe == "paper",
     )
 
 
@@ -95,8 +96,8 @@ def _squashed_claim(squashed: Sequence[Finding], rescaled: Sequence[Finding]) ->
         "Section III-B, Eq. (2)",
         "The normalised score s = tanh(k_s |S|) S / |S| does not satisfy the identity.",
         Verdict.HOLDS if z > limit else Verdict.FAILS,
-        f"It is off by {squashed[0].share:.0%} of what the identity says, but almost only by "
-        f"a factor: times {rescaled[0].scale:.1f}, the largest entry is off by "
+        f"It is off by {squashed[0].share:.0%} of what the identity says, and after "
+        f"the best factor, times {rescaled[0].scale:.1f}, the largest entry is off by "
         + " and ".join(
             f"{found.z:.1f} standard errors ({found.share:.1%}) on {found.density}"
             for found in rescaled
@@ -114,8 +115,7 @@ def _squashed_mean_claim(squashed: Sequence[Finding]) -> Claim:
         "The normalised score does not have mean zero.",
         Verdict.HOLDS if strongest.mean_z > limit else Verdict.FAILS,
         f"On {strongest.density}, its mean is {strongest.mean_z:.1f} standard errors from "
-        f"zero (limit {limit:.1f}), but only {strongest.means.mean():.2%} of its size; on a "
-        "shape that a turn leaves as it is, it is zero.",
+        f"zero (limit {limit:.1f}), and {strongest.means.mean():.2%} of its size.",
     )
 
 

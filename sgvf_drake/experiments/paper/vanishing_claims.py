@@ -3,11 +3,15 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from scipy.stats import binomtest
+
 from sgvf_drake.experiments.outcome import Claim, Verdict
 
 SECTION = "Section VI-A, Fig. 5"
 # A search of the least |chi| ends this near to it.
 SEARCH = 1e-6
+# A comparison within one field holds by chance this often.
+ERROR = 0.05
 
 Row = Mapping[str, Any]
 Cases = Mapping[tuple[str, str], Sequence[Row]]
@@ -65,7 +69,7 @@ def _singularity_claim(rows: Sequence[Row]) -> Claim:
     return Claim(
         "vanishing-is-singularity",
         SECTION,
-        "Score vanishing is a singularity of the guiding field that topology forces.",
+        "Score vanishing is a singularity that topology forces, and one of the guiding field.",
         _by_share(meeting, len(zeros)),
         f"Of {len(zeros)} zeros of the scores of {len(rows)} robust fields {meeting} are "
         f"within a noise level of a zero of m, and topology forces "
@@ -77,8 +81,9 @@ def _singularity_claim(rows: Sequence[Row]) -> Claim:
 def _density_claim(rows: Sequence[Row]) -> Claim:
     held, asked = _held(rows, "low_density")
     held_off, asked_off = _held(rows, "low_density_off_path")
-    verdict = _by_share(held, asked)
-    if verdict is Verdict.FAILS and held_off:
+    # Most zeros are on the path by the density's own shape; the others are the question.
+    verdict = _more_than_chance(held_off, asked_off)
+    if verdict is Verdict.HOLDS and held < asked:
         verdict = Verdict.PARTLY
     on_path = sum(row["vanishing"]["zeros_on_path"] for row in rows)
     count = on_path + sum(row["vanishing"]["zeros_off_path"] for row in rows)
@@ -99,7 +104,7 @@ def _curvature_claim(rows: Sequence[Row]) -> Claim:
         "vanishing-high-curvature",
         SECTION,
         "Score vanishing is pronounced where the curvature is high.",
-        _by_share(held, asked),
+        _more_than_chance(held, asked),
         f"In {held} of {asked} fields on paths whose curvature varies, the zeros on the path "
         "keep to high curvature.",
     )
@@ -141,7 +146,7 @@ def _parametric_claim(pieces: Sequence[Row]) -> Claim:
         "A guiding field in one more dimension has no singularity.",
         verdict,
         f"Around {len(pieces)} pieces the least |chi| that a grid and descents found is "
-        f"{found:.3f}, and nowhere below what follows from the formula.",
+        f"{found:.3f}; {'nowhere' if bounded else 'somewhere'} below what the formula says.",
     )
 
 
@@ -149,6 +154,15 @@ def _held(rows: Sequence[Row], name: str) -> tuple[int, int]:
     """In how many fields a comparison holds, and in how many it can be made."""
     verdicts = [row["vanishing"][name] for row in rows if row["vanishing"][name] is not None]
     return sum(verdict["holds"] for verdict in verdicts), len(verdicts)
+
+
+def _more_than_chance(held: int, asked: int) -> Verdict:
+    """Holds where all comparisons do, in part where more do than errors of 5 % explain."""
+    if asked and held == asked:
+        return Verdict.HOLDS
+    if asked and binomtest(held, asked, ERROR, alternative="greater").pvalue < ERROR:
+        return Verdict.PARTLY
+    return Verdict.FAILS
 
 
 def _by_share(count: int, whole: int) -> Verdict:

@@ -40,14 +40,15 @@ def build_page(summary: Mapping[str, Any], folder: Path) -> str:
         for name, entry in summary["scenarios"].items()
     ]
     claims = [claim for section in sections for claim in section.claims]
-    counts = Counter(claim.verdict for claim in claims)
+    of_paper = [claim for claim in claims if claim.of_paper]
+    counts = Counter(claim.verdict for claim in of_paper)
     return environment.get_template(TEMPLATE).render(
         # The style sheet is ours; everything else is escaped.
         style=Markup(loader.get_source(environment, STYLE)[0]),
         sections=sections,
         counts={verdict: counts[verdict] for verdict in Verdict},
         symbols=SYMBOLS,
-        sentence=_sentence(claims, sections),
+        sentence=_sentence(of_paper, sections),
         time=duration_text(summary["trial_s"]),
         wall=duration_text(summary["wall_s"]),
         summary=summary,

@@ -89,6 +89,36 @@ def test_what_takes_no_order_gives_the_same_field_for_any():
         assert (np.abs(m - other).max() > 1e-6) == method.takes_order, name
 
 
+@pytest.mark.parametrize("method", ["sorted", "smoothed"])
+def test_sorting_finds_the_side_branch_of_the_fork(method):
+    cloud, path = make_case(CASES["branching"], 0)
+    shuffled = PointCloud(np.random.default_rng(1).permutation(cloud.points))
+    curves = METHODS[method].build(shuffled, 0).curves
+    # Two of the arms are one curve from tip to tip; the third runs outward from the middle.
+    assert len(curves) == 2
+    assert not any(curve.closed for curve in curves)
+    middle, tips = np.zeros(2), np.array([piece.vertices[-1] for piece in path.pieces])
+    main, side = (cloud.denormalize(curve.points[[0, -1]]) for curve in curves)
+    ends = np.concatenate([main, side[1:]])
+    gaps = np.linalg.norm(tips[:, None] - ends, axis=2)
+    assert sorted(gaps.argmin(axis=1)) == [0, 1, 2]
+    assert gaps.min(axis=1).max() < 1e-9
+    # Waypoints within 0.3 U of the main curve are taken for its own.
+    assert np.linalg.norm(side[0] - middle) < 0.4 * cloud.unit_length
+    x = np.concatenate([piece.sample(200) for piece in path.pieces])
+    distance = np.min([curve.distance(cloud.normalize(x)) for curve in curves], axis=0)
+    assert distance.max() < 0.2
+
+
+@pytest.mark.parametrize(("case", "count"), [("ordered", 1), ("noisy", 1), ("pieces", 2)])
+def test_sorting_finds_no_side_branch_where_there_is_none(case, count):
+    for seed in range(3):
+        cloud, _ = make_case(CASES[case], seed)
+        curves = METHODS["sorted"].build(cloud, 0).curves
+        assert len(curves) == count
+        assert all(curve.closed for curve in curves)
+
+
 # The measures.
 
 
@@ -294,6 +324,11 @@ def verdicts(means):
         ),
         (
             {("pieces", "robust"): HALF, ("pieces", "sorted"): THIN},
+            "baselines-advantage",
+            Verdict.PARTLY,
+        ),
+        (
+            {("pieces", "robust"): (0.4, 1.0), ("pieces", "sorted"): THIN},
             "baselines-advantage",
             Verdict.FAILS,
         ),

@@ -135,7 +135,6 @@ def test_who_follows(change, follows):
 @pytest.mark.parametrize(
     "change",
     [
-        {"speed_min_m_s": 0.2},
         {"speed_max_m_s": 0.7},
         {"force_min_n": 0.0},
         {"force_max_n": 4.6},

@@ -172,8 +172,9 @@ def planted(changes, seeds=5, networks=NETWORKS):
     good = {
         "following.followable": True,
         "following.lap": 1.0,
-        "lengths.m_error": 0.1,
+        "lengths.v_box_max": 0.1,
         "lengths.fading": 2.0,
+        "lengths.leads_away": 0.0,
         "drift.drift_u": 0.1,
         "drift.outward": 0.0,
         "tangent.conflicted": 0.0,
@@ -186,14 +187,14 @@ def planted(changes, seeds=5, networks=NETWORKS):
             for variant in VARIANTS:
                 values = {**good, **changes.get(variant, {})}
                 # A scatter that the variants of a seed share, and a little of their own.
-                values["lengths.m_error"] += 0.05 * seed + 0.001 * rng.random()
+                values["lengths.v_box_max"] += 0.05 * seed + 0.001 * rng.random()
                 values["drift.outward"] += 1e-4 * rng.standard_normal()
                 rows.append({"network": network, "seed": seed, "variant": variant, **values})
     return pd.DataFrame(rows)
 
 
 PAPER_SAYS = {
-    NO_UNIT: {"lengths.m_error": 0.3, "lengths.fading": 0.8},
+    NO_UNIT: {"lengths.v_box_max": 0.3, "lengths.fading": 0.8, "lengths.leads_away": 0.9},
     NO_ORTHOGONALITY: {"drift.drift_u": 1.0, "drift.outward": 0.3, "following.lap": 0.2},
     NO_DIRECTION: {"tangent.conflicted": 1.0, "tangent.sources": 1.0},
 }
@@ -207,7 +208,7 @@ def test_all_claims_hold_where_everything_is_as_the_paper_says():
     claims = loss_claims(planted(PAPER_SAYS))
     assert {claim.verdict for claim in claims} == {Verdict.HOLDS}
     evidence = {claim.key: claim.evidence for claim in claims}
-    assert "5 of 5 seeds with [2,128,2]" in evidence["all-losses"]
+    assert "[2,128,2]: complete 5 of 5, no-unit 5 of 5" in evidence["all-losses"]
     assert "not found" not in evidence["unit-length"]
     assert "share of agents that lap 1 -> 0.2, change -0.8" in evidence["orthogonality"]
 
@@ -220,7 +221,7 @@ def test_no_claim_of_a_loss_holds_where_nothing_changes():
 
 def test_the_same_change_the_other_way_is_no_effect():
     opposite = {
-        NO_UNIT: {"lengths.m_error": 0.05, "lengths.fading": 3.0},
+        NO_UNIT: {"lengths.v_box_max": 0.05, "lengths.fading": 3.0},
         NO_ORTHOGONALITY: {"drift.drift_u": 0.05, "drift.outward": -0.3},
     }
     found = verdicts(planted(opposite))
@@ -261,11 +262,24 @@ def test_complete_recipes_that_fail_are_said():
 
 def test_effects_are_paired_by_seed():
     # The seeds scatter by 0.2, their differences by a thousandth.
-    effect = effect_of(planted(PAPER_SAYS, networks=NETWORKS[:1]), "lengths.m_error", NO_UNIT)
+    effect = effect_of(planted(PAPER_SAYS, networks=NETWORKS[:1]), "lengths.v_box_max", NO_UNIT)
     assert effect.rises
     assert not effect.falls
     assert effect.change[0] == pytest.approx(0.2, abs=2e-3)
     assert effect.change[2] - effect.change[1] < 2e-3 < effect.complete[2] - effect.complete[1]
+
+
+def test_a_factor_is_paired_too_and_does_not_mind_how_far_a_length_runs_off():
+    table = planted(PAPER_SAYS, networks=NETWORKS[:1])
+    table["lengths.v_box_max"] = 0.1
+    removed = table["variant"] == NO_UNIT
+    table.loc[removed, "lengths.v_box_max"] = [0.2, 0.4, 0.8, 1.6, 30.0]
+    assert not effect_of(table, "lengths.v_box_max", NO_UNIT).rises
+    effect = effect_of(table, "lengths.v_box_max", NO_UNIT, factor=True)
+    assert effect.rises
+    factors = np.array([2, 4, 8, 16, 300])
+    assert np.exp(effect.change[0]) == pytest.approx(factors.prod() ** 0.2)
+    assert "a factor of 13" in str(effect)
 
 
 def test_a_single_seed_shows_nothing():

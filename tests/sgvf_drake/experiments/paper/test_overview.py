@@ -1,5 +1,7 @@
 """The overview: who is looked at, when losses have come to rest, and verdicts."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -104,10 +106,12 @@ def test_the_course_of_a_line():
 
 def test_noise_of_the_batches_is_no_change():
     # Ten records a tenth, as of a training of 1,000 iterations.
-    noise = np.random.default_rng(3).lognormal(0.0, 0.6, 100)
+    noise = np.random.default_rng(0).lognormal(0.0, 0.6, 100)
     noisy = course(pd.Series(np.where(np.arange(100) < 10, 50.0, noise)))
-    assert abs(noisy.change) > 0.2
+    assert 0.1 < abs(noisy.change) < 0.2
     assert noisy.converged
+    # Noise does not excuse everything.
+    assert not replace(noisy, change=0.3).converged
     # A change of the same size without the noise is one.
     means = np.repeat(noise.reshape(10, 10).mean(axis=1), 10)
     steps = course(pd.Series(np.where(np.arange(100) < 10, 50.0, means)))
