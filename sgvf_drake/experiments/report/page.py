@@ -58,11 +58,11 @@ def build_page(summary: Mapping[str, Any], folder: Path) -> str:
 
 
 def _sentence(claims: Iterable[Claim], sections: Iterable[SectionView]) -> str:
-    """The verdicts in words: "Of 9 claims of the paper, 7 hold, 1 holds in part, ..."."""
+    """The verdicts in words: "Of 9 claims put to the test in 2 scenarios, 7 hold ..."."""
     counts = Counter(claim.verdict for claim in claims)
     total = sum(counts.values())
     if total == 0:
-        return "No claim of the paper has been put to the test yet."
+        return "No claim has been put to the test yet."
     words = {
         Verdict.HOLDS: ("holds", "hold"),
         Verdict.PARTLY: ("holds in part", "hold in part"),
@@ -76,7 +76,6 @@ def _sentence(claims: Iterable[Claim], sections: Iterable[SectionView]) -> str:
     tested = sum(bool(section.claims) for section in sections)
     last = f" and {parts.pop()}" if len(parts) > 1 else ""
     return (
-        f"Of {total} claim{'' if total == 1 else 's'} that the paper makes and "
-        f"{tested} scenario{'' if tested == 1 else 's'} put to the test, "
-        f"{', '.join(parts)}{last}."
+        f"Of {total} claim{'' if total == 1 else 's'} put to the test in {tested} "
+        f"scenario{'' if tested == 1 else 's'}, {', '.join(parts)}{last}."
     )

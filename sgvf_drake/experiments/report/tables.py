@@ -8,6 +8,8 @@ from pandas.api.types import is_bool_dtype, is_numeric_dtype
 
 from sgvf_drake.experiments.report.numbers import cell_text, has_interval, interval_text
 
+# Characters from which a text needs width.
+PROSE = 50
 MEAN, LOW, HIGH = " mean", " low", " high"
 
 
@@ -24,6 +26,13 @@ class Column:
     heading: str
     numeric: bool
     cells: tuple[str, ...]
+
+    @property
+    def kind(self) -> str:
+        """What it is to the style sheet: numbers, sentences, or words."""
+        if self.numeric:
+            return "number"
+        return "prose" if any(len(cell) > PROSE for cell in self.cells) else ""
 
 
 @dataclass(frozen=True)

@@ -161,8 +161,12 @@ def test_a_table_is_read_as_it_was_written(tmp_path):
     assert columns["share"].cells == ("0.500", "–", "1")  # noqa: RUF001
     assert columns["seen"].cells == ("yes", "no", "yes")
     assert columns["first"].cells == ("–", "3", "4")  # noqa: RUF001
-    numeric = {name for name, column in columns.items() if column.numeric}
-    assert numeric == {"count", "share", "first"}
+    kinds = {name: column.kind for name, column in columns.items()}
+    assert kinds == {
+        **dict.fromkeys(("count", "share", "first"), "number"),
+        **{"variant": "", "seen": ""},
+    }
+    assert columns_of(pd.DataFrame({"why": ["short", "long " * 20]}))["why"].kind == "prose"
 
 
 def test_a_table_without_rows_has_its_headings():
@@ -288,8 +292,8 @@ def test_every_verdict_is_on_the_page(page_of):
     )
     for statement in ("One grows.", "Two grows.", "Three grows."):
         assert statement in page.text
-    assert "Of 3 claims that the paper makes and 3 scenarios put to the test" in page.text
-    assert "1 holds, 1 holds in part and 1 does not hold." in page.text
+    counts = "1 holds, 1 holds in part and 1 does not hold."
+    assert f"Of 3 claims put to the test in 3 scenarios, {counts}" in page.text
     kinds = [attributes["class"] for attributes in page.all("span") if "class" in attributes]
     for kind in ("holds", "partly", "fails"):
         # In the table and at the scenario.
@@ -304,9 +308,7 @@ def test_every_verdict_is_on_the_page(page_of):
 
 def test_the_counts_are_in_words(page_of):
     page = page_of(alpha={}, beta={})
-    assert "Of 2 claims that the paper makes and 2 scenarios put to the test, 2 hold." in (
-        page.text
-    )
+    assert "Of 2 claims put to the test in 2 scenarios, 2 hold." in page.text
 
 
 def test_links_lead_to_places_on_the_page(page_of):
@@ -361,7 +363,7 @@ def test_what_is_missing_or_failed_is_told(page_of):
 
 def test_nothing_run_is_a_page_too(page_of):
     page = page_of("alpha", alpha={"error": "no ink"}, beta={})
-    assert "No claim of the paper has been put to the test yet." in page.text
+    assert "No claim has been put to the test yet." in page.text
     assert page.all("img") == []
 
 

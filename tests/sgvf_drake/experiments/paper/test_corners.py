@@ -110,6 +110,7 @@ def row_with(points, stable, **others):
         "unit": UNIT,
         "zeros": points,
         "zeros_stable": stable,
+        "undecided": 0,
         "zeros_score": np.linspace(0.1, 0.2, count),
         **others,
     }
@@ -281,6 +282,8 @@ def table_of(**changes):
             "stalled_near": 0.0,
             "near": np.nan,
             "trapped": 0.0,
+            "trapped_locally": 0.0,
+            "undecided": 0,
             "turns": 0,
             "paused": 0.0,
             "speed_corner": 0.6,
@@ -295,8 +298,10 @@ def table_of(**changes):
         "shallow_4_stalled_near": [0.8, 0.9, 0.7, 0.9, 0.8],
         "shallow_4_near": 0.9,
         "shallow_4_trapped": [0.5, 0.75, 0.5, 1.0, 0.75],
+        "shallow_4_trapped_locally": [0.5, 0.75, 0.5, 1.0, 0.75],
         "shallow_6_stalled_near": [0.1, 0.2, 0.3, 0.0, 0.2],
         "shallow_6_trapped": [0.3, 0.2, 0.3, 0.2, 0.2],
+        "shallow_6_trapped_locally": [0.3, 0.2, 0.3, 0.2, 0.2],
         "shallow_4_speed_corner": [0.2, 0.1, 0.3, 0.2, 0.1],
         "shallow_6_speed_corner": [0.3, 0.4, 0.3, 0.2, 0.4],
         "shallow_4_paused": 0.1,
@@ -332,13 +337,18 @@ def test_all_claims_hold_where_fields_do_what_the_paper_says():
         (
             "corners-hexagon-less",
             {"shallow_6_stalled_near": [1.0, 0.2, 1.0, 0.9, 0.3]},
+            Verdict.FAILS,
+        ),
+        ("corners-deep-eliminates", {"deep_6_undecided": 1}, Verdict.PARTLY),
+        (
+            "corners-deep-eliminates",
+            {"deep_6_trapped_locally": [0, 0, 0.5, 0, 0]},
             Verdict.PARTLY,
         ),
-        ("corners-deep-eliminates", {"deep_6_trapped": [0, 0, 0.5, 0, 0]}, Verdict.PARTLY),
         ("corners-deep-eliminates", {"deep_4_stalled_near": 0.3}, Verdict.PARTLY),
         (
             "corners-deep-eliminates",
-            {"deep_4_trapped": 0.75, "deep_6_trapped": 0.25},
+            {"deep_4_trapped_locally": 0.75, "deep_6_trapped_locally": 0.25},
             Verdict.FAILS,
         ),
         ("corners-pauses", {"shallow_4_paused": 0.0}, Verdict.PARTLY),
@@ -356,7 +366,7 @@ def test_all_claims_hold_where_fields_do_what_the_paper_says():
                 "shallow_6_trapped": [0, 0.5, 0, 0.5, 0.3],
                 "shallow_12_trapped": [0, 0, 0.5, 0.2, 0.2],
             },
-            Verdict.PARTLY,
+            Verdict.FAILS,
         ),
     ],
 )
@@ -377,7 +387,7 @@ def test_one_seed_proves_nothing():
     table = table_of()
     found = verdicts(table[table["seed"] == 0])
     assert found["corners-shallow-square"] is Verdict.PARTLY
-    assert found["corners-hexagon-less"] is Verdict.PARTLY
+    assert found["corners-hexagon-less"] is Verdict.FAILS
 
 
 # The whole of it.
