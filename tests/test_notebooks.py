@@ -10,7 +10,7 @@ FOLDER = Path(__file__).parents[1] / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 PUBLIC = (
     *("dataclasses", "tempfile"),
-    *("sgvf_drake", "systems", "pydrake", "numpy", "pandas", "matplotlib", "IPython"),
+    *("sgvf_drake", "systems", "pydrake", "numpy", "pandas", "matplotlib"),
 )
 # Drake logs where Meshcat serves; anything else on this stream is a warning.
 MESHCAT_ADDRESS = "INFO:drake:Meshcat listening for connections at http://localhost:"
