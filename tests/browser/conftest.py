@@ -115,6 +115,10 @@ class Page:
         assert "errorText" not in answer, f"{url}: {answer['errorText']}"
         self.wait_until("document.readyState === 'complete'")
 
+    def bring_to_front(self):
+        """Has the page before the others: one that lies behind may not be drawn, and wait."""
+        self._send("Page.bringToFront")
+
     def resize(self, width, height, mobile=False):
         """Makes the window this large, in pixels; as a phone shows it, or a desktop."""
         self._send(

@@ -69,7 +69,7 @@ def test_the_summary_says_what_was_found_and_from_what(load, tmp_path):
     assert summary["claims"] == [
         {
             **{"key": "grow", "source": "Section IX", "statement": "Squares grow."},
-            **{"verdict": "holds in part", "evidence": "They do."},
+            **{"verdict": "holds in part", "evidence": "They do.", "of_paper": True},
         }
     ]
     assert summary["exhibits"] == [

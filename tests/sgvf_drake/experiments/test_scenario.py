@@ -136,6 +136,16 @@ def test_a_bad_setting_is_named(fake_scenarios, setting):
     assert repr(setting) in str(error.value)
 
 
+@pytest.mark.parametrize("seeds", ["[]", "[0, 1, 0]", "[-1]"])
+def test_seeds_that_are_none_or_the_same_are_refused(fake_scenarios, seeds):
+    fake_scenarios.write("a")
+    with pytest.raises(ConfigurationError) as error:
+        load_scenario("a", settings=[f"seeds={seeds}"])
+    assert f"seeds must be different numbers from 0 on, at least one, not {seeds}" in str(
+        error.value
+    )
+
+
 def test_a_scenario_that_is_not_there_is_named(fake_scenarios, tmp_path):
     fake_scenarios.write("a")
     with pytest.raises(ConfigurationError, match=r"no scenario 'b' \(they are a; "):

@@ -188,6 +188,12 @@ def test_records_of_other_code_are_not_used(module, monkeypatch, target, name, v
     assert module.measured() == [1, 1]
 
 
+def test_code_that_changes_while_trials_run_is_not_what_measured_them(module):
+    with pytest.raises(ExperimentError, match="the code was changed while the trials ran"):
+        workbench._measure(module.measure, module.store, "other code", *module.trials(2))
+    assert not module.store.exists()
+
+
 @pytest.mark.parametrize("text", ["", "{", "[1]", "{}", '{"identity": 1, "row": {}}'])
 def test_a_damaged_record_is_measured_again(module, text):
     bench = Workbench(module.store)
@@ -223,9 +229,10 @@ def test_a_failure_leaves_an_older_record_alone(module, monkeypatch):
         raise OSError("no space left")
 
     # It fails where the files of the new record are already written.
+    code = workbench._code(module.measure)
     monkeypatch.setattr(workbench.json, "dumps", fail)
     with pytest.raises(OSError, match="no space left"):
-        workbench._measure(module.measure, module.store, *module.trials(2))
+        workbench._measure(module.measure, module.store, code, *module.trials(2))
     assert module.measured() == [2, 2]
     assert folders(module.store) == [record.folder.name]
     assert json.loads((record.folder / ROW).read_text())["row"]["square"] == 4

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from sgvf_drake import learning
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments import load_scenario, run_scenario
 from sgvf_drake.experiments.outcome import Verdict
@@ -197,7 +198,7 @@ def test_agents_on_a_field_with_a_sink_near_a_corner_are_found_there(monkeypatch
         asked.append((config, score))
         return PlantedResult(cloud, sink)
 
-    monkeypatch.setattr(corners_trials, "train", plant)
+    monkeypatch.setattr(learning, "train", plant)
     trial = CornerTrial(4, 3, num_points=80, starts=16, patience=1.0, effort=0.5)
     row = json.loads(json.dumps(plain(measure_corners(trial, tmp_path))))
     shallow, deep, robust = (config for config, _ in asked)

@@ -86,7 +86,12 @@ def test_lost_control_is_a_result(flight_result, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(
     ("tours", "said"),
-    [(["1"], "there are 2 shapes to fly, but 1 tours"), (["1,a", "1"], "as in '1,2,1'")],
+    [
+        (["1"], "there are 2 shapes to fly, but 1 tours"),
+        (["1,a", "1"], "as in '1,2,1', not '1,a'"),
+        (["1,2", "1,3"], "pieces from 1 to 2 as in '1,2,1', not '1,3'"),
+        (["0", "1"], "not '0'"),
+    ],
 )
 def test_a_tour_that_is_none_is_an_error(tours, said, tmp_path):
     with pytest.raises(ConfigurationError, match=said):
