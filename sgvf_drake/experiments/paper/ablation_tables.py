@@ -6,12 +6,21 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from sgvf_drake.experiments.intervals import interval_columns
+from sgvf_drake.experiments.intervals import SHARE, interval_columns
 from sgvf_drake.experiments.workbench import Record
 
 Range = tuple[float, float]
 ANY: Range = (-np.inf, np.inf)
 POSITIVE: Range = (0.0, np.inf)
+
+FOLLOWED = {
+    "reach": ("following.reach", SHARE),
+    "lap": ("following.lap", SHARE),
+    "stall": ("following.stall", SHARE),
+    "leave": ("following.leave", SHARE),
+    "RMS, U": ("following.rms_u", POSITIVE),
+}
+"""Columns that say how well a field is followed; see `seeds_table`."""
 
 
 def field_table(labels: Sequence[Mapping[str, Any]], records: Sequence[Record]) -> pd.DataFrame:

@@ -7,10 +7,9 @@ import timeit
 
 import numpy as np
 
-from sgvf_drake.experiments.follow import follow
+from sgvf_drake.experiments.follow import PATIENCE, follow
 from sgvf_drake.experiments.paper.baseline_measures import coverage, effort, errors, find_ways
 from sgvf_drake.experiments.paper.baseline_methods import CASES, LEARNED, METHODS, make_case
-from sgvf_drake.experiments.quality.running import PATIENCE
 from sgvf_drake.experiments.workbench import Row
 from sgvf_drake.fields import ParametricField
 from sgvf_drake.metrics import default_duration

@@ -57,7 +57,7 @@ class BaselineComparison:
         rows = pd.DataFrame(
             {"case": case, "method": method, "seed": seed, **record.row}
             for (case, method), records in cells.items()
-            for seed, record in zip(self.seeds, records, strict=True)
+            for seed, record in zip(self.seeds, records, strict=False)
         )
         shares = {key: _means(records) for key, records in cells.items()}
         figure = baselines_figure(
@@ -79,7 +79,7 @@ class BaselineComparison:
         )
 
     def _run(self, bench: Workbench) -> Cells:
-        """Returns the records by case and method, one a seed."""
+        """Returns the records by case and method, one a seed or, without chance, one in all."""
         trials = {
             (case, method): [self._trial(case, method, seed) for seed in self.seeds]
             for case in self.cases
@@ -89,7 +89,10 @@ class BaselineComparison:
         different = list(dict.fromkeys(trial for cell in trials.values() for trial in cell))
         records = bench.run(measure_baseline, different, "baselines")
         by_trial = dict(zip(different, records, strict=True))
-        return {key: [by_trial[trial] for trial in cell] for key, cell in trials.items()}
+        return {
+            key: [by_trial[trial] for trial in dict.fromkeys(cell)]
+            for key, cell in trials.items()
+        }
 
     def _trial(self, case: str, method: str, seed: int) -> BaselineTrial:
         """Returns the trial; what cannot differ is one trial, run once.

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sgvf_drake.experiments.follow import follow
+from sgvf_drake.experiments.follow import PATIENCE, follow
 from sgvf_drake.experiments.paper.baseline_measures import coverage, find_ways
 from sgvf_drake.experiments.paper.baseline_methods import CASES, make_case
 from sgvf_drake.experiments.paper.baseline_trials import KEPT, TRAJECTORIES
@@ -88,7 +88,8 @@ def measure_learned(trial: LearnedTrial, folder: Path) -> Row:
     # One attempt: at a fork, the self-check finds a fault in whatever was trained.
     field = train(cloud, TrainingConfig(**settings, max_restarts=0)).field
     unit = cloud.unit_length
-    run = follow(field, path, trial.starts, default_duration(path, unit))
+    duration = PATIENCE.get(trial.recipe, 1.0) * default_duration(path, unit)
+    run = follow(field, path, trial.starts, duration)
     ways = find_ways(run, path, unit)
     field.save(folder / FIELD)
     np.savez_compressed(

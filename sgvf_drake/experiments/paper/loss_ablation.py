@@ -13,7 +13,13 @@ from sgvf_drake.experiments.figures.ablation import (
 from sgvf_drake.experiments.intervals import SHARE
 from sgvf_drake.experiments.outcome import Exhibit, Outcome
 from sgvf_drake.experiments.paper.ablation_panels import panels_of
-from sgvf_drake.experiments.paper.ablation_tables import ANY, POSITIVE, field_table, seeds_table
+from sgvf_drake.experiments.paper.ablation_tables import (
+    ANY,
+    FOLLOWED,
+    POSITIVE,
+    field_table,
+    seeds_table,
+)
 from sgvf_drake.experiments.paper.loss_ablation_claims import loss_claims
 from sgvf_drake.experiments.paper.loss_ablation_trials import (
     COMPLETE,
@@ -150,11 +156,7 @@ def following_table(table: pd.DataFrame) -> pd.DataFrame:
         NAMES,
         counts={"followable seeds": "following.followable"},
         means={
-            "reach": ("following.reach", SHARE),
-            "lap": ("following.lap", SHARE),
-            "stall": ("following.stall", SHARE),
-            "leave": ("following.leave", SHARE),
-            "RMS, U": ("following.rms_u", POSITIVE),
+            **FOLLOWED,
             "slowest |m| on the path": ("following.speed_min", POSITIVE),
         },
     )

@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from sgvf_drake.experiments.follow import FollowResult, follow
+from sgvf_drake.experiments.follow import PATIENCE, FollowResult, follow
 from sgvf_drake.experiments.quality.measures import following, measure_score
-from sgvf_drake.experiments.quality.running import PATIENCE
 from sgvf_drake.experiments.workbench import Row
 from sgvf_drake.fields import FloatArray
 from sgvf_drake.metrics import default_duration

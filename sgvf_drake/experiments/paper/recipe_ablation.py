@@ -14,7 +14,12 @@ from sgvf_drake.experiments.figures.ablation import (
 from sgvf_drake.experiments.intervals import SHARE
 from sgvf_drake.experiments.outcome import Exhibit, Outcome
 from sgvf_drake.experiments.paper.ablation_panels import panels_of
-from sgvf_drake.experiments.paper.ablation_tables import POSITIVE, field_table, seeds_table
+from sgvf_drake.experiments.paper.ablation_tables import (
+    FOLLOWED,
+    POSITIVE,
+    field_table,
+    seeds_table,
+)
 from sgvf_drake.experiments.paper.recipe_ablation_claims import (
     SPEED_ERROR,
     recipe_claims,
@@ -157,11 +162,7 @@ def following_table(table: pd.DataFrame) -> pd.DataFrame:
         NAMES,
         counts={"followable seeds": "following.followable"},
         means={
-            "reach": ("following.reach", SHARE),
-            "lap": ("following.lap", SHARE),
-            "stall": ("following.stall", SHARE),
-            "leave": ("following.leave", SHARE),
-            "RMS, U": ("following.rms_u", POSITIVE),
+            **FOLLOWED,
             "max, U": ("following.max_u", POSITIVE),
             "| |m| - 1 | on the path, max": (SPEED_ERROR, POSITIVE),
         },

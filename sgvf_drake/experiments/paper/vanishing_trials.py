@@ -184,12 +184,7 @@ def chi(field: ParametricField, states: FloatArray) -> FloatArray:
     1 + |f'|^2 + k^2 |phi|^2 + (k phi . f')^2.
     """
     f, f_w = field.curve.derivatives(states[:, 2], 1)
-    return _chi(field.gain, states[:, :2] - f, f_w)
-
-
-def _chi(gain: float, phi: FloatArray, f_w: FloatArray) -> FloatArray:
-    chase = 1 + gain * (phi * f_w).sum(axis=-1, keepdims=True)
-    return np.concatenate([f_w - gain * phi, chase], axis=-1)
+    return field.chi(states[:, :2] - f, f_w)
 
 
 def least_chi(field: ParametricField) -> Row:
@@ -202,7 +197,7 @@ def least_chi(field: ParametricField) -> Row:
     # One parameter at a time, since all of them at once do not fit into the cache.
     norms = np.stack(
         [
-            np.linalg.norm(_chi(field.gain, x - f[k], np.broadcast_to(f_w[k], x.shape)), axis=1)
+            np.linalg.norm(field.chi(x - f[k], np.broadcast_to(f_w[k], x.shape)), axis=1)
             for k in range(len(w))
         ]
     )

@@ -16,7 +16,7 @@ import sgvf_drake
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments import clouds
 from sgvf_drake.experiments.figures import follow_figure
-from sgvf_drake.experiments.follow import follow
+from sgvf_drake.experiments.follow import PATIENCE, follow
 from sgvf_drake.experiments.measured_code import code_digest
 from sgvf_drake.experiments.processes import each_finished
 from sgvf_drake.experiments.quality.case import LABELS, Case
@@ -29,9 +29,6 @@ from sgvf_drake.progress import Progress, no_progress
 RESULTS_VERSION = 1
 # Digits of the digest of that code which a table shows.
 CODE_DIGITS = 12
-
-# The paper's fields are slow on their path (|m| 0.3 to 0.6), so they get as much more time.
-PATIENCE = {"paper": 4.0}
 
 TEXTS = (
     *("name", "shape", "sampling", "recipe", "key"),

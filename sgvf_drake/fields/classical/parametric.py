@@ -58,14 +58,14 @@ class ParametricField(ClassicalField):
 
     def _value(self, z: FloatArray) -> FloatArray:
         f, f_w = self.curve.derivatives(z[:, -1], 1)
-        chi = self._chi(z[:, :-1] - f, f_w)
+        chi = self.chi(z[:, :-1] - f, f_w)
         return np.asarray(NORM_ON_PATH * chi / np.sqrt((chi * chi).sum(axis=1))[:, None])
 
     def _value_and_jacobian(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
         k, d = self.gain, self.cloud.dim
         f, f_w, f_ww = self.curve.derivatives(z[:, -1], 2)
         phi = z[:, :-1] - f
-        chi = self._chi(phi, f_w)
+        chi = self.chi(phi, f_w)
         dchi = np.empty((*z.shape, self.dim), z.dtype)
         dchi[:, :d, :d] = -k * np.eye(d)
         dchi[:, d, :d] = k * f_w
@@ -77,7 +77,13 @@ class ParametricField(ClassicalField):
         J = (dchi - u[:, :, None] * along[:, None, :]) / norm[:, :, None]
         return NORM_ON_PATH * u, NORM_ON_PATH * J
 
-    def _chi(self, phi: FloatArray, f_w: FloatArray) -> FloatArray:
+    def chi(self, phi: FloatArray, f_w: FloatArray) -> FloatArray:
+        """Returns the field before it is scaled, (n, d + 1), in normalised units.
+
+        Args:
+            phi: Positions less those of the curve at the parameters, (n, d).
+            f_w: The derivatives of the curve there, (n, d).
+        """
         chase = 1 + self.gain * (phi * f_w).sum(axis=1)
         return np.column_stack([f_w - self.gain * phi, chase])
 

@@ -20,6 +20,7 @@ from sgvf_drake.experiments.paper.vanishing_trials import (
     parametric_fields,
     region_indices,
 )
+from sgvf_drake.fields import ParametricField
 from sgvf_drake.paths import shape_path
 
 SIGMA = 0.1
@@ -111,12 +112,12 @@ def test_the_least_chi_is_that_on_the_curve(ring):
 
 
 def test_a_field_that_vanishes_is_found_out(ring, monkeypatch):
-    def broken(gain, phi, f_w):
+    def broken(field, phi, f_w):
         along = (phi * f_w).sum(axis=-1, keepdims=True) / (f_w**2).sum(axis=-1, keepdims=True)
         # Where the point is waited for, k phi = f', it stops as well.
-        return np.concatenate([f_w - gain * phi, 1 - gain * along], axis=-1)
+        return np.concatenate([f_w - field.gain * phi, 1 - field.gain * along], axis=-1)
 
-    monkeypatch.setattr(vanishing_trials, "_chi", broken)
+    monkeypatch.setattr(ParametricField, "chi", broken)
     found = least_chi(ring)
     assert found["least"] < 1e-4
     claims = vanishing_claims({("circle", "robust"): [row_of()]}, {"circle": [found]})
