@@ -326,7 +326,7 @@ def _tails(positions: FloatArray, unit_length: float, reference: Reference) -> _
     moved = np.linalg.norm(np.diff(positions, axis=0), axis=2)
     away = (distance > SETTLE_DISTANCE * unit_length) | (pieces != piece)
     away[:-1] |= np.abs(step) > moved + JUMP * unit_length
-    first = _since_last(away)
+    first = since_last(away)
     gain = np.zeros((steps, agents))
     gain[:-1] = np.cumsum(step[::-1], axis=0)[::-1]
     return _Tails(distance, piece, length, first, gain)
@@ -370,13 +370,13 @@ def _arrivals(
     the sample since which the agent has been at the end.
     """
     from_end = np.linalg.norm(positions - terminal[tails.piece], axis=2)
-    arrival = _since_last(np.asarray(from_end > END_DISTANCE * unit_length))
+    arrival = since_last(np.asarray(from_end > END_DISTANCE * unit_length))
     # The end is on the path, so who arrived has reached the path, and no later.
     reach = np.argmax(tails.distance <= REACH_DISTANCE * unit_length, axis=0)
     return (arrival < len(positions)) & (tails.first <= reach), reach, arrival
 
 
-def _since_last(condition: BoolArray) -> IntArray:
+def since_last(condition: BoolArray) -> IntArray:
     """Returns the sample (n,) after the last one at which a condition (T, n) held."""
     after = len(condition) - np.argmax(condition[::-1], axis=0)
     return np.where(condition.any(axis=0), after, 0)

@@ -6,12 +6,11 @@ from typing import Any, Protocol
 import numpy as np
 
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.experiments.simulation import advance, read_log
+from sgvf_drake.experiments.simulation import simulate_agents
 from sgvf_drake.fields import Field, FloatArray, ParametricField
 from sgvf_drake.metrics import FollowMetrics, default_duration, follow_metrics, grid_starts
 from sgvf_drake.paths import PointCloud, Reference, ReferencePath
 from sgvf_drake.progress import Progress, no_progress
-from systems import MakeKinematicDiagram, MakeSimulator, SetPositions
 
 # The integrator's step in U at a speed of one U a second, at most and in noise levels: the
 # field turns within about half a noise level.
@@ -83,9 +82,8 @@ def follow(
 ) -> FollowResult:
     """Follows a field from a grid of starts over its box, in one Drake diagram.
 
-    Inside, agents travel one unit U a second, so that the steps of the simulation fit a
-    path in millimetres as well as one in kilometres.  With a parametric field, each agent
-    starts at the parameter of the nearest point of its curve.
+    With a parametric field, each agent starts at the parameter of the nearest point of its
+    curve.
 
     Args:
         field: The field.
@@ -108,7 +106,16 @@ def follow(
         )
     dim = field.cloud.dim
     grid = _states(field, grid_starts(field.cloud.box, starts, dim))
-    times, states, wall_s = _simulate(field, grid, duration, progress)
+    ways, states, wall_s = simulate_agents(
+        field,
+        grid,
+        unit,
+        way=duration / unit,
+        step=min(STEP, STEP_PER_SIGMA * field.sigma),
+        log_period=LOG_PERIOD,
+        progress=progress,
+    )
+    times = ways * unit
     positions = states[..., :dim]
     errors = reference.project(positions.reshape(-1, dim)).distance
     return FollowResult(
@@ -126,20 +133,6 @@ def follow(
 def _states(field: PathField, positions: FloatArray) -> FloatArray:
     """Returns the states of agents at positions (n, d)."""
     return field.lift(positions) if isinstance(field, ParametricField) else positions
-
-
-def _simulate(
-    field: PathField, starts: FloatArray, duration: float, progress: Progress
-) -> tuple[FloatArray, FloatArray, float]:
-    unit = field.cloud.unit_length
-    diagram = MakeKinematicDiagram(field, len(starts), speed=unit, log_period=LOG_PERIOD)
-    step = min(STEP, STEP_PER_SIGMA * field.sigma)
-    simulator = MakeSimulator(diagram, step=step)
-    context = simulator.get_mutable_context()
-    SetPositions(diagram, context, starts)
-    wall_s = advance(simulator, duration / unit, LOG_PERIOD, "follow", progress)
-    times, states = read_log(diagram, context, "positions_log")
-    return times * unit, states.reshape(-1, *starts.shape), wall_s
 
 
 def _speed_on_path(field: PathField, reference: Reference) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""Advance a Drake simulation, tell how far it is, and read its logs."""
+"""Advance a Drake simulation, tell how far it is, and read its logs; agents in a field."""
 
 import time
 from typing import Any
@@ -7,7 +7,9 @@ from pydrake.systems.analysis import Simulator, SimulatorStatus
 from pydrake.systems.framework import Context, Diagram
 
 from sgvf_drake.arrays import FloatArray
-from sgvf_drake.progress import Progress
+from sgvf_drake.fields import Field
+from sgvf_drake.progress import Progress, no_progress
+from systems import MakeKinematicDiagram, MakeSimulator, SetPositions
 
 # Reports of one simulation.
 REPORTS = 100
@@ -48,3 +50,43 @@ def read_log(diagram: Diagram, context: Context, name: str) -> tuple[FloatArray,
     sink: Any = diagram.GetSubsystemByName(name)
     log = sink.FindLog(context)
     return log.sample_times().copy(), log.data().T.copy()
+
+
+def simulate_agents(
+    field: Field,
+    starts: FloatArray,
+    unit_length: float,
+    *,
+    way: float,
+    step: float,
+    log_period: float,
+    progress: Progress = no_progress,
+) -> tuple[FloatArray, FloatArray, float]:
+    """Simulates kinematic agents that travel one U a second where |m| is one.
+
+    The steps of the simulation therefore fit a path in millimetres as well as one in
+    kilometres.
+
+    Args:
+        field: The field.
+        starts: (n, k) states.
+        unit_length: U in the unit of the field.
+        way: How far they would get at full speed, U.
+        step: Of the integrator, U at full speed.
+        log_period: Between two samples, U at full speed.
+        progress: Told how far the simulation is.
+
+    Returns:
+        The ways (T,) at full speed until each sample, U; the states (T, n, k); and the wall
+        time of the simulation, seconds.
+
+    Raises:
+        NonFiniteValueError: The field is not finite somewhere on the way.
+    """
+    diagram = MakeKinematicDiagram(field, len(starts), speed=unit_length, log_period=log_period)
+    simulator = MakeSimulator(diagram, step=step)
+    context = simulator.get_mutable_context()
+    SetPositions(diagram, context, starts)
+    wall_s = advance(simulator, way, log_period, "follow", progress)
+    times, states = read_log(diagram, context, "positions_log")
+    return times, states.reshape(-1, *starts.shape), wall_s

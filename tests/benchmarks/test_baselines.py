@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from sgvf_drake.experiments.paper.baseline_methods import CASES, METHODS, make_case
+from sgvf_drake.experiments.paper.baselines.methods import CASES, METHODS, make_case
 from sgvf_drake.fields import GuidingField, ParametricField
 import sgvf_drake.learning  # noqa: F401 (torch, before the times are taken)
 

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from sgvf_drake.experiments.paper.ablation_measures import direction_row
-from sgvf_drake.experiments.paper.along_path import (
+from sgvf_drake.experiments.paper.ablation.along_path import (
     SHORTEST,
     STEP,
     directions,
     sample_path,
 )
+from sgvf_drake.experiments.paper.ablation.measures import direction_row
 from sgvf_drake.paths import Piece, ReferencePath, shape_path
 
 UNIT = 1.0

@@ -11,17 +11,17 @@ from scipy.integrate import solve_ivp
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments import follow
 from sgvf_drake.experiments.outcome import Verdict
-from sgvf_drake.experiments.paper.baseline_claims import baseline_claims
-from sgvf_drake.experiments.paper.baseline_measures import (
+from sgvf_drake.experiments.paper.baselines.claims import baseline_claims
+from sgvf_drake.experiments.paper.baselines.experiment import BaselineComparison
+from sgvf_drake.experiments.paper.baselines.measures import (
     Ways,
     coverage,
     effort,
     errors,
     find_ways,
 )
-from sgvf_drake.experiments.paper.baseline_methods import CASES, LEARNED, METHODS, make_case
-from sgvf_drake.experiments.paper.baseline_trials import TRAJECTORIES
-from sgvf_drake.experiments.paper.baselines import BaselineComparison
+from sgvf_drake.experiments.paper.baselines.methods import CASES, LEARNED, METHODS, make_case
+from sgvf_drake.experiments.paper.baselines.trials import TRAJECTORIES
 from sgvf_drake.experiments.workbench import Workbench
 from sgvf_drake.fields import CurveField, FourierCurve, ParametricField
 from sgvf_drake.paths import Piece, PointCloud, ReferencePath, trace_pieces

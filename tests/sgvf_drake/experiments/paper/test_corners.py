@@ -13,10 +13,10 @@ from sgvf_drake import learning
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments import load_scenario, run_scenario
 from sgvf_drake.experiments.outcome import Verdict
-from sgvf_drake.experiments.paper import corners_trials
-from sgvf_drake.experiments.paper.corners import Corners
-from sgvf_drake.experiments.paper.corners_claims import corner_claims
-from sgvf_drake.experiments.paper.corners_traps import (
+from sgvf_drake.experiments.paper.corners import trials as corners_trials
+from sgvf_drake.experiments.paper.corners.claims import corner_claims
+from sgvf_drake.experiments.paper.corners.experiment import Corners
+from sgvf_drake.experiments.paper.corners.traps import (
     Places,
     Traps,
     even_share,
@@ -25,7 +25,7 @@ from sgvf_drake.experiments.paper.corners_traps import (
     slowest_corner,
     ways,
 )
-from sgvf_drake.experiments.paper.corners_trials import (
+from sgvf_drake.experiments.paper.corners.trials import (
     RADIUS,
     CornerTrial,
     measure_corners,

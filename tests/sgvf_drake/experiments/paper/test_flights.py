@@ -8,9 +8,9 @@ import pytest
 
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments.outcome import Verdict
-from sgvf_drake.experiments.paper.flights import Flights, flights_table
-from sgvf_drake.experiments.paper.flights_claims import Flight, flights_claims
-from sgvf_drake.experiments.paper.flights_measures import Motion, motion_of
+from sgvf_drake.experiments.paper.flights.claims import Flight, flights_claims
+from sgvf_drake.experiments.paper.flights.experiment import Flights, flights_table
+from sgvf_drake.experiments.paper.flights.measures import Motion, motion_of
 from sgvf_drake.experiments.workbench import Workbench
 
 SPEED, RADIUS, PERIOD = 0.5, 2.0, 0.01
@@ -75,7 +75,7 @@ def test_lost_control_is_a_result(flight_result, tmp_path, monkeypatch):
         raise ConfigurationError("the quadrotor lost control on the tour")
 
     monkeypatch.setattr("sgvf_drake.learning.train", lambda cloud, config: flight_result)
-    monkeypatch.setattr("sgvf_drake.experiments.paper.flights_trials.fly_tour", lost)
+    monkeypatch.setattr("sgvf_drake.experiments.paper.flights.trials.fly_tour", lost)
     kind = Flights(shapes=["concentric-flight"], tours=["1,2"], seeds=[], paper_seeds=[0])
     outcome = kind.run(Workbench(tmp_path))
     # There is nothing to draw, and no part to measure.

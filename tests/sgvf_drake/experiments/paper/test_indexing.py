@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from sgvf_drake.experiments.outcome import Verdict
-from sgvf_drake.experiments.paper.indexing import Indexing, field_changes
-from sgvf_drake.experiments.paper.indexing_claims import indexing_claims
-from sgvf_drake.experiments.paper.indexing_trials import (
+from sgvf_drake.experiments.paper.indexing.claims import indexing_claims
+from sgvf_drake.experiments.paper.indexing.experiment import Indexing, field_changes
+from sgvf_drake.experiments.paper.indexing.trials import (
     CurveTrial,
     curve_points,
     make_waypoints,

@@ -6,14 +6,14 @@ import pandas as pd
 import pytest
 
 from sgvf_drake.experiments.outcome import Verdict
-from sgvf_drake.experiments.paper import loss_ablation_trials
-from sgvf_drake.experiments.paper.ablation_effects import effect_of
-from sgvf_drake.experiments.paper.ablation_measures import checked_row, followed_row
-from sgvf_drake.experiments.paper.along_path import sample_path
-from sgvf_drake.experiments.paper.loss_ablation import NAMES, LossAblation, widths
-from sgvf_drake.experiments.paper.loss_ablation_claims import loss_claims
-from sgvf_drake.experiments.paper.loss_ablation_measures import drift_row, lengths_row
-from sgvf_drake.experiments.paper.loss_ablation_trials import (
+from sgvf_drake.experiments.paper.ablation.along_path import sample_path
+from sgvf_drake.experiments.paper.ablation.effects import effect_of
+from sgvf_drake.experiments.paper.ablation.measures import checked_row, followed_row
+from sgvf_drake.experiments.paper.loss_ablation import trials as loss_ablation_trials
+from sgvf_drake.experiments.paper.loss_ablation.claims import loss_claims
+from sgvf_drake.experiments.paper.loss_ablation.experiment import NAMES, LossAblation, widths
+from sgvf_drake.experiments.paper.loss_ablation.measures import drift_row, lengths_row
+from sgvf_drake.experiments.paper.loss_ablation.trials import (
     COMPLETE,
     NO_DIRECTION,
     NO_ORTHOGONALITY,

@@ -7,15 +7,15 @@ import pandas as pd
 import pytest
 
 from sgvf_drake.experiments.outcome import Verdict
-from sgvf_drake.experiments.paper.overview import Overview, fields_table
-from sgvf_drake.experiments.paper.overview_claims import followed, overview_claims
-from sgvf_drake.experiments.paper.overview_losses import (
+from sgvf_drake.experiments.paper.overview.claims import followed, overview_claims
+from sgvf_drake.experiments.paper.overview.experiment import Overview, fields_table
+from sgvf_drake.experiments.paper.overview.losses import (
     LossCourse,
     course,
     losses_table,
     tangent_courses,
 )
-from sgvf_drake.experiments.paper.overview_trials import (
+from sgvf_drake.experiments.paper.overview.trials import (
     AGENTS,
     THINNING,
     OverviewTrial,

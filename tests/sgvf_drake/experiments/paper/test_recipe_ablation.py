@@ -6,15 +6,15 @@ import pytest
 
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments.outcome import Verdict
-from sgvf_drake.experiments.paper import recipe_ablation_trials
-from sgvf_drake.experiments.paper.recipe_ablation import NAMES, RecipeAblation
-from sgvf_drake.experiments.paper.recipe_ablation_claims import (
+from sgvf_drake.experiments.paper.recipe_ablation import trials as recipe_ablation_trials
+from sgvf_drake.experiments.paper.recipe_ablation.claims import (
     SPEED_ERROR,
     findings_of,
     recipe_claims,
     with_speed_error,
 )
-from sgvf_drake.experiments.paper.recipe_ablation_trials import (
+from sgvf_drake.experiments.paper.recipe_ablation.experiment import NAMES, RecipeAblation
+from sgvf_drake.experiments.paper.recipe_ablation.trials import (
     COMPLETE,
     NO_FEATURES,
     NO_HINT,

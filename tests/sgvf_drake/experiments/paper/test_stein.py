@@ -9,10 +9,10 @@ from scipy.integrate import quad
 
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments.outcome import Verdict
-from sgvf_drake.experiments.paper.stein import SteinIdentity
-from sgvf_drake.experiments.paper.stein_claims import stein_claims
-from sgvf_drake.experiments.paper.stein_findings import Finding, find
-from sgvf_drake.experiments.paper.stein_statistics import (
+from sgvf_drake.experiments.paper.stein.claims import stein_claims
+from sgvf_drake.experiments.paper.stein.experiment import SteinIdentity
+from sgvf_drake.experiments.paper.stein.findings import Finding, find
+from sgvf_drake.experiments.paper.stein.statistics import (
     best_scale,
     convergence,
     identity,
@@ -22,7 +22,7 @@ from sgvf_drake.experiments.paper.stein_statistics import (
     z_limit,
     zero_mean,
 )
-from sgvf_drake.experiments.paper.stein_trials import (
+from sgvf_drake.experiments.paper.stein.trials import (
     CHUNK,
     FORMS,
     Moments,

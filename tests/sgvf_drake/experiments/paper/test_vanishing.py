@@ -9,10 +9,10 @@ import pytest
 
 from sgvf_drake.experiments import load_scenario, run_scenario
 from sgvf_drake.experiments.outcome import Verdict
-from sgvf_drake.experiments.paper import vanishing_trials
-from sgvf_drake.experiments.paper.vanishing_claims import vanishing_claims
-from sgvf_drake.experiments.paper.vanishing_tables import counts_table, places_table
-from sgvf_drake.experiments.paper.vanishing_trials import (
+from sgvf_drake.experiments.paper.vanishing import trials as vanishing_trials
+from sgvf_drake.experiments.paper.vanishing.claims import vanishing_claims
+from sgvf_drake.experiments.paper.vanishing.tables import counts_table, places_table
+from sgvf_drake.experiments.paper.vanishing.trials import (
     ParametricTrial,
     chi,
     flow,

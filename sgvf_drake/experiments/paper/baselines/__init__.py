@@ -1,0 +1,1 @@
+"""Classical fields beside SGVF, on the same waypoints."""

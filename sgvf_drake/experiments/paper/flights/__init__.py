@@ -1,0 +1,1 @@
+"""Fig. 3: flights from branch to branch."""

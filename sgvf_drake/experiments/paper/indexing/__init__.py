@@ -1,0 +1,1 @@
+"""Fig. 1: what the order of waypoints decides."""

@@ -1,0 +1,1 @@
+"""Fig. 4: what each loss of the tangent is for."""

@@ -1,0 +1,1 @@
+"""Fig. 2: two loops in one learned field, and agents that follow it."""

@@ -1,0 +1,1 @@
+"""Section II: Stein's identity of exact, learned and normalised scores."""
