@@ -139,7 +139,8 @@ def _branches_claim(recipe: str, rows: Sequence[Row]) -> Claim:
 def _curves(rows: Sequence[Row]) -> str:
     return "; ".join(
         f"{LABELS[row['curve']]} through {row['waypoints']}: "
-        f"{_short(row['length_ratio'])} times the true length, up to {_short(row['farthest_u'])} U away"
+        f"{_short(row['length_ratio'])} times the true length, "
+        f"up to {_short(row['farthest_u'])} U away"
         for row in rows
     )
 
