@@ -37,6 +37,16 @@ def test_the_interval_is_that_of_an_independent_implementation():
     assert interval(values) == pytest.approx((values.mean(), found.low, found.high))
 
 
+def test_intervals_that_are_compared_hold_their_means_together():
+    repeats, comparisons = 1_000, 14
+    values = np.random.default_rng(5).normal(2.0, 3.0, (repeats, comparisons, 5))
+    ends = np.array([[interval(v, comparisons=comparisons)[1:] for v in row] for row in values])
+    together = ((ends[..., 0] <= 2.0) & (ends[..., 1] >= 2.0)).all(axis=1).mean()
+    # Independent ones hold together a little more often than Bonferroni's bound says.
+    expected = (1 - (1 - CONFIDENCE) / comparisons) ** comparisons
+    assert together == pytest.approx(expected, abs=3 * math.sqrt(0.05 * 0.95 / repeats))
+
+
 def test_the_interval_of_a_share_is_cut_to_what_a_share_can_be():
     values = [0.7, 1.0, 1.0]
     mean, low, high = interval(values, SHARE)

@@ -53,7 +53,12 @@ class Effect:
 
 
 def effect_of(
-    table: pd.DataFrame, measure: str, variant: str, *, factor: bool = False
+    table: pd.DataFrame,
+    measure: str,
+    variant: str,
+    *,
+    factor: bool = False,
+    comparisons: int = 1,
 ) -> Effect:
     """Returns the effect of a variant on a measure.
 
@@ -65,8 +70,10 @@ def effect_of(
         variant: The variant that lacks the part.
         factor: Whether the change is a factor, as for a length that may grow without bounds,
             of which a few seeds otherwise say little.
+        comparisons: The number of changes that are judged together; see `interval`.
     """
     values = table.pivot(index="seed", columns="variant", values=measure).astype(float)
     with_part, without = values[COMPLETE].to_numpy(), values[variant].to_numpy()
     change = np.log(without / with_part) if factor else without - with_part
-    return Effect(interval(with_part), interval(without), interval(change), factor)
+    judged = interval(change, comparisons=comparisons)
+    return Effect(interval(with_part), interval(without), judged, factor)

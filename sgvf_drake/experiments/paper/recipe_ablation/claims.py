@@ -1,8 +1,8 @@
 """Whether each part of the robust recipe is worth its place.
 
-Taking a part out makes a measure worse on a shape where the whole 95 % interval of the paired
+Taking a part out makes a measure worse on a shape where the whole interval of the paired
 differences over the seeds is on the worse side, and their mean is at least so large that it
-matters.  A part is worth its place where something that agents do, or the sublevel checks,
+matters.  The intervals of all measures on all shapes hold together in 95 %.  A part is worth its place where something that agents do, or the sublevel checks,
 gets worse on at least one shape; in part where only the accuracy of score and tangent does;
 not where nothing does.
 """
@@ -112,9 +112,10 @@ def recipe_claims(table: pd.DataFrame) -> list[Claim]:
 def findings_of(table: pd.DataFrame, variant: str) -> list[Finding]:
     """Returns what changes measurably without a part, in the order of `MEASURES`."""
     found = []
+    comparisons = len(MEASURES) * table["shape"].nunique()
     for measure in MEASURES:
         for shape, fields in table.groupby("shape", sort=False):
-            effect = effect_of(fields, measure.column, variant)
+            effect = effect_of(fields, measure.column, variant, comparisons=comparisons)
             matters = abs(effect.change[0]) >= measure.least
             if matters and (effect.rises or effect.falls):
                 is_worse = effect.rises == (measure.worse > 0)

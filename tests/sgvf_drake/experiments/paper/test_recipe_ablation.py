@@ -3,11 +3,13 @@
 import numpy as np
 import pandas as pd
 import pytest
+from scipy import stats
 
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments.outcome import Verdict
 from sgvf_drake.experiments.paper.recipe_ablation import trials as recipe_ablation_trials
 from sgvf_drake.experiments.paper.recipe_ablation.claims import (
+    MEASURES,
     SPEED_ERROR,
     findings_of,
     recipe_claims,
@@ -91,6 +93,19 @@ def test_one_shape_is_enough_if_agents_or_checks_feel_it():
     (hint,) = findings_of(table, NO_HINT)
     assert (hint.shape, hint.is_worse) == ("star", True)
     assert str(hint).startswith("share of starts that lap on star 1 -> 0")
+
+
+def test_the_scatter_of_seeds_seldom_speaks_for_a_part():
+    repeats, chance = 60, 0.05
+    table = planted({})
+    measured = [measure.column for measure in MEASURES]
+    found = 0
+    for seed in range(repeats):
+        rng = np.random.default_rng(seed)
+        # Every change in the mean is larger than what would matter.
+        scattered = table.assign(**{name: rng.normal(size=len(table)) for name in measured})
+        found += len(findings_of(scattered, NO_HINT)) > 0
+    assert found <= stats.binom.isf(1e-3, repeats, chance)
 
 
 def test_what_is_better_without_a_part_is_said_and_does_not_speak_for_it():
