@@ -2,9 +2,9 @@
 
 Taking a part out makes a measure worse on a shape where the whole interval of the paired
 differences over the seeds is on the worse side, and their mean is at least so large that it
-matters.  The intervals of all measures on all shapes hold together in 95 %.  A part is worth its place where something that agents do, or the sublevel checks,
-gets worse on at least one shape; in part where only the accuracy of score and tangent does;
-not where nothing does.
+matters.  The intervals of all measures on all shapes hold together in 95 %.  A part is worth
+its place where something that agents do, or the sublevel checks, gets worse on at least one
+shape; in part where only the accuracy of score and tangent does; not where nothing does.
 """
 
 from dataclasses import dataclass
