@@ -1,0 +1,1 @@
+"""The certificate: a proof of path following, by bounds over squares."""

@@ -1,0 +1,262 @@
+"""Functions of one variable with bounds of what their tangents leave.
+
+The library's elementary functions are taken to be right within `LIBRARY` units of roundoff,
+relative to their value; NumPy tests its own to half of that.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+import math
+
+import numpy as np
+from scipy.special import erf
+
+from sgvf_drake.arrays import FloatArray
+from sgvf_drake.certificate.taylor_model import TINY, UNIT, Expansion, Univariate
+from sgvf_drake.exceptions import ConfigurationError
+
+LIBRARY = 8
+# More than the units of roundoff by which the formulas here can be off: the functions below
+# combine at most three values of the library, each of size one and off by LIBRARY units, by
+# fewer than ten operations.
+FORMULA = 64 * UNIT
+
+Jet = tuple[FloatArray, FloatArray, FloatArray]
+
+
+@dataclass(frozen=True)
+class Smooth:
+    """A function whose second derivative and its slope are bounded everywhere.
+
+    Attributes:
+        jet: The function and its first two derivatives.
+        least: Of the second derivative.
+        most: Of the second derivative.
+        third: The largest absolute value of the third.
+        growth: Whether the rounding of the jet grows with |u|, as that of u times a bounded
+            function does.
+    """
+
+    jet: Callable[[FloatArray], Jet]
+    least: float
+    most: float
+    third: float
+    growth: bool = False
+
+    def expand(self, u: FloatArray, low: FloatArray, high: FloatArray) -> Expansion:
+        """Returns the expansion; see `Univariate`."""
+        value, slope, curvature = self.jet(u)
+        reach = np.maximum(high - u, u - low)
+        # By Taylor's theorem with the third derivative, or by what the second can be.
+        bend = np.maximum(np.abs(curvature - self.least), np.abs(self.most - curvature))
+        rest = np.minimum(self.third * np.maximum(reach, TINY) / 3, bend) * reach**2 / 2
+        error = FORMULA * (1 + np.abs(u)) if self.growth else FORMULA
+        rounding = error * (1 + reach + reach**2 / 2)
+        return Expansion(value, slope, curvature, (1 + FORMULA) * rest + rounding + TINY)
+
+
+def _silu(u: FloatArray) -> Jet:
+    gate = 0.5 + 0.5 * np.tanh(0.5 * u)
+    bell = gate * (1 - gate)
+    return u * gate, gate + u * bell, bell * (2 + u * (1 - 2 * gate))
+
+
+def _tanh(u: FloatArray) -> Jet:
+    value = np.tanh(u)
+    slope = 1 - value**2
+    return value, slope, -2 * value * slope
+
+
+def _sigmoid(u: FloatArray) -> Jet:
+    value = 0.5 + 0.5 * np.tanh(0.5 * u)
+    slope = value * (1 - value)
+    return value, slope, slope * (1 - 2 * value)
+
+
+def _softplus(u: FloatArray) -> Jet:
+    gate, bell, _ = _sigmoid(u)
+    return np.maximum(u, 0) + np.log1p(np.exp(-np.abs(u))), gate, bell
+
+
+def _gelu(u: FloatArray) -> Jet:
+    share = 0.5 + 0.5 * erf(u / math.sqrt(2))
+    density = np.exp(-0.5 * u**2) / math.sqrt(2 * math.pi)
+    return u * share, share + u * density, density * (2 - u**2)
+
+
+def _elu(u: FloatArray) -> Jet:
+    decay = np.exp(np.minimum(u, 0))
+    return np.where(u > 0, u, decay - 1), decay, np.where(u > 0, 0.0, decay)
+
+
+def _sine(u: FloatArray) -> Jet:
+    sine = np.sin(u)
+    return sine, np.cos(u), -sine
+
+
+def _cosine(u: FloatArray) -> Jet:
+    cosine = np.cos(u)
+    return cosine, -np.sin(u), -cosine
+
+
+def _fall(y: FloatArray) -> Jet:
+    fourth = y**4
+    value = 1 / (1 + fourth)
+    slope = -4 * y**3 * value**2
+    return value, slope, y**2 * (20 * fourth - 12) * value**3
+
+
+SINE = Smooth(_sine, -1.0, 1.0, 1.0)
+COSINE = Smooth(_cosine, -1.0, 1.0, 1.0)
+FALL = Smooth(_fall, -2.378, 1.47, 12.0)
+"""1 / (1 + u^4)."""
+
+
+@dataclass(frozen=True)
+class Rectifier:
+    """max(u, 0), by the chord over an interval that holds zero."""
+
+    def expand(self, u: FloatArray, low: FloatArray, high: FloatArray) -> Expansion:
+        """Returns the expansion; see `Univariate`."""
+        straddles = (low < 0) & (high > 0)
+        width = np.where(straddles, high - low, 1.0)
+        slope = np.where(straddles, high / width, np.where(low >= 0, 1.0, 0.0))
+        value, zero = np.maximum(u, 0), np.zeros_like(u)
+        # Convex and piecewise linear: what is over is largest at an end, least at the kink.
+        over = [np.maximum(at, 0) - value - slope * (at - u) for at in (low, high, zero)]
+        most = np.maximum(np.maximum(over[0], over[1]), 0)
+        least = np.where(straddles, np.minimum(over[2], 0), np.minimum(over[0], over[1]))
+        least = np.minimum(least, 0)
+        rounding = FORMULA * (np.abs(low) + np.abs(high))
+        return Expansion(
+            value + (least + most) / 2, slope, zero, (most - least) / 2 + rounding + TINY
+        )
+
+
+ACTIVATIONS: Mapping[str, Univariate] = {
+    "SiLU": Smooth(_silu, -0.037, 0.501, 0.3082, growth=True),
+    "Tanh": Smooth(_tanh, -0.77, 0.77, 2.001),
+    "Sigmoid": Smooth(_sigmoid, -0.0963, 0.0963, 0.1251),
+    "Softplus": Smooth(_softplus, -0.001, 0.251, 0.0963, growth=True),
+    "GELU": Smooth(_gelu, -0.108, 0.798, 0.779, growth=True),
+    # Its second derivative jumps from 1 to 0.
+    "ELU": Smooth(_elu, 0.0, 1.0, np.inf, growth=True),
+    "ReLU": Rectifier(),
+}
+"""The activations of `sgvf_drake.fields.activation`, by name."""
+
+
+def find_expansion(activation: str) -> Univariate:
+    """Returns what bounds an activation.
+
+    Raises:
+        ConfigurationError: Nothing does.
+    """
+    try:
+        return ACTIVATIONS[activation]
+    except KeyError:
+        raise ConfigurationError(
+            f"no bounds are known of the activation {activation}"
+        ) from None
+
+
+@dataclass(frozen=True)
+class Convex:
+    """A convex function of u >= 0 whose second derivative falls.
+
+    That of a completely monotone function does, and all here are: u^(-1/2) is; tanh(sqrt u) /
+    sqrt u = sum_n 2 / (u + a_n^2) with a_n = (n - 1/2) pi, by the partial fractions of tanh;
+    and sech(sqrt u), the Laplace transform of the time at which a Brownian motion leaves an
+    interval.
+
+    Attributes:
+        value_and_slope: The function and its derivative, right within `FORMULA` (1 + u) of
+            themselves: rounding changes the exponential in sech by that of its argument.
+        curvature: A lower and an upper bound of the second derivative.
+    """
+
+    value_and_slope: Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+    curvature: Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+
+    def expand(self, u: FloatArray, low: FloatArray, high: FloatArray) -> Expansion:
+        """Returns the expansion; see `Univariate`."""
+        value, slope = self.value_and_slope(u)
+        reach = np.maximum(high - u, u - low)
+        most, least = self.curvature(low)[1], self.curvature(high)[0]
+        here = self.curvature(u)
+        curvature = (here[0] + here[1]) / 2
+        bend = np.maximum(most - curvature, curvature - least)
+        rounding = FORMULA * (1 + u) * (np.abs(value) + np.abs(slope) * reach)
+        rest = (1 + FORMULA) * reach**2 / 2 * (bend + FORMULA * most)
+        return Expansion(value, slope, curvature, rest + rounding + TINY)
+
+
+# Below the first, u^(-5/2) could overflow; below the second, a bound by formula cancels.
+SMALLEST, SMALL = 1e-100, 1e-2
+# Partial fractions that are summed, and what the others come to at most: the terms fall, and
+# their sum is below the integral of 4 / (pi t)^6 from the last of them on.
+_POLES = (np.arange(1, 9) - 0.5) * np.pi
+_OTHERS = 4 / (5 * np.pi**6 * 8.0**5)
+# Of (sinh 2r - 2r) / (4 r^3) = sum_n 2^(2n - 1) u^(n - 1) / (2n + 1)!, with u = r^2.
+_SINH_SERIES = tuple(2.0 ** (2 * n - 1) / math.factorial(2 * n + 1) for n in range(1, 16))
+
+
+def _inverse_root(u: FloatArray) -> tuple[FloatArray, FloatArray]:
+    u = np.maximum(u, SMALLEST)
+    value = 1 / np.sqrt(u)
+    return value, -0.5 * value / u
+
+
+def _inverse_root_curvature(u: FloatArray) -> tuple[FloatArray, FloatArray]:
+    curvature = 0.75 * np.maximum(u, SMALLEST) ** -2.5
+    return (1 - FORMULA) * curvature, (1 + FORMULA) * curvature
+
+
+def _squash(u: FloatArray) -> tuple[FloatArray, FloatArray]:
+    root = np.sqrt(np.maximum(u, SMALLEST))
+    value, square = np.tanh(root) / root, _sech(root) ** 2
+    # (sech^2 - tanh / root) / (2 u), which cancels near zero; there by the series of sinh.
+    far = (square - value) / (2 * np.maximum(u, 1.0))
+    near = np.zeros_like(u)
+    for coefficient in reversed(_SINH_SERIES):
+        near = near * np.minimum(u, 1.0) + coefficient
+    return value, np.where(u < 1, -square * near, far)
+
+
+def _squash_curvature(u: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """By the partial fractions, or from one on by -(sech^2 f + 3 f') / (2 u)."""
+    poles = (4 / (np.minimum(u, 1.0)[..., None] + _POLES**2) ** 3).sum(axis=-1)
+    value, slope = _squash(u)
+    far = -(_sech(np.sqrt(u)) ** 2 * value + 3 * slope) / (2 * np.maximum(u, 1.0))
+    least = np.where(u < 1, poles, far)
+    return (1 - FORMULA) * least, (1 + FORMULA) * (least + np.where(u < 1, _OTHERS, 0.0))
+
+
+def _sech_of_root(u: FloatArray) -> tuple[FloatArray, FloatArray]:
+    value = _sech(np.sqrt(u))
+    return value, -0.5 * value * _squash(u)[0]
+
+
+def _sech_curvature(u: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(sech / 4 u) (tanh / root - 1 + 2 tanh^2), and near zero between 5/12 and its tangent."""
+    far = np.maximum(u, SMALL)
+    ratio = _squash(far)[0]
+    exact = _sech(np.sqrt(far)) / (4 * far) * (ratio - 1 + 2 * far * ratio**2)
+    least = np.where(u < SMALL, 5 / 12 - 61 / 120 * u, exact - FORMULA / SMALL)
+    most = np.where(u < SMALL, 5 / 12, exact + FORMULA / SMALL)
+    return least, most
+
+
+def _sech(r: FloatArray) -> FloatArray:
+    decay = np.exp(-r)
+    return 2 * decay / (1 + decay**2)
+
+
+INVERSE_ROOT = Convex(_inverse_root, _inverse_root_curvature)
+"""1 / sqrt(u)."""
+
+SQUASH = Convex(_squash, _squash_curvature)
+"""tanh(sqrt u) / sqrt u."""
+
+SECH_OF_ROOT = Convex(_sech_of_root, _sech_curvature)
+"""sech(sqrt u)."""

@@ -1,0 +1,81 @@
+"""Guiding fields over squares: models of m from those of its score and its tangent network."""
+
+from sgvf_drake.certificate.boxes import Boxes
+from sgvf_drake.certificate.expansions import FALL, INVERSE_ROOT, SECH_OF_ROOT, SQUASH
+from sgvf_drake.certificate.mixture_model import MixtureModel
+from sgvf_drake.certificate.network_model import model_network
+from sgvf_drake.certificate.taylor_model import TaylorModel
+from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.fields import (
+    GaussianMixture,
+    GuidingField,
+    NormalisedComposition,
+    PaperComposition,
+    RobustComposition,
+    ScoreNetwork,
+)
+from sgvf_drake.fields.composition import (
+    DIRECTION_SOFTENING,
+    PROJECTION_POWER,
+    PROJECTION_RANGE,
+    UNIT_SOFTENING,
+    Composition,
+)
+
+assert PROJECTION_POWER == 8, "FALL is not the projection's power of |S|^2"
+
+
+def model_field(field: GuidingField, boxes: Boxes) -> TaylorModel:
+    """Returns the models of m, (n, 2), over squares in the field's normalised units.
+
+    Raises:
+        ConfigurationError: The field is of a kind that nothing here bounds.
+    """
+    if len(field.ends):
+        raise ConfigurationError("fields with terminal ends are not bounded yet")
+    N = model_network(field.tangent_network, boxes)
+    return compose(field.composition, model_score(field.score_model, boxes), N)
+
+
+def model_score(score: ScoreNetwork | GaussianMixture, boxes: Boxes) -> TaylorModel:
+    """Returns the models of the raw score S."""
+    if isinstance(score, GaussianMixture):
+        return MixtureModel(score).gradient(boxes).scaled(-1.0)
+    return model_network(score.network.with_last_input(1.0), boxes).scaled(1 / score.scale)
+
+
+def compose(composition: Composition, S: TaylorModel, N: TaylorModel) -> TaylorModel:
+    """Returns the models of m = s + v by a composition; see `Composition.value`."""
+    match composition:
+        case PaperComposition(gain=gain):
+            return _squashed(S, gain) + N
+        case NormalisedComposition(gain=gain):
+            return _direction(_squashed(S, gain) + N, UNIT_SOFTENING)
+        case RobustComposition():
+            return _robust(composition, S, N)
+    raise ConfigurationError(f"nothing bounds a {type(composition).__name__}")
+
+
+def _robust(composition: RobustComposition, S: TaylorModel, N: TaylorModel) -> TaylorModel:
+    v = _direction(N, DIRECTION_SOFTENING)
+    normal = S
+    if composition.projects:
+        scale = (composition.sigma / PROJECTION_RANGE) ** 2
+        g = S.dot(S).scaled(scale).apply(FALL, least=0.0)
+        normal = S - (g * S.dot(v)) * v
+    square = normal.dot(normal).scaled(composition.gain**2)
+    a = square.apply(SQUASH, least=0.0).scaled(composition.gain)
+    b = square.apply(SECH_OF_ROOT, least=0.0).scaled(composition.tangent_share)
+    return a * normal + b * v
+
+
+def _squashed(S: TaylorModel, gain: float) -> TaylorModel:
+    """tanh(k |S|) S / |S|."""
+    factor = S.dot(S).scaled(gain**2).apply(SQUASH, least=0.0)
+    return factor.scaled(gain) * S
+
+
+def _direction(n: TaylorModel, softening: float) -> TaylorModel:
+    """N / sqrt(|n|^2 + softening^2)."""
+    square = n.dot(n).shifted(softening**2)
+    return square.apply(INVERSE_ROOT, least=softening**2) * n

@@ -1,0 +1,154 @@
+"""Ball arithmetic (Arb, by python-flint): what the models are held against.
+
+A float64 becomes the ball of itself, and every result holds the true value.
+"""
+
+from flint import arb, arb_series, ctx
+import numpy as np
+
+from sgvf_drake.fields import GaussianMixture
+from sgvf_drake.fields.composition import (
+    DIRECTION_SOFTENING,
+    PROJECTION_POWER,
+    PROJECTION_RANGE,
+    UNIT_SOFTENING,
+    NormalisedComposition,
+    PaperComposition,
+)
+
+ctx.prec = 256
+
+
+def sigmoid(z):
+    return 1 / (1 + (-z).exp())
+
+
+def gelu(z):
+    return z * (1 + (z / arb(2).sqrt()).erf()) / 2
+
+
+FUNCTIONS = {
+    "SiLU": lambda z: z * sigmoid(z),
+    "Tanh": lambda z: 2 * sigmoid(2 * z) - 1,
+    "Sigmoid": sigmoid,
+    "Softplus": lambda z: (1 + z.exp()).log(),
+    "GELU": gelu,
+    "sine": lambda z: z.sin(),
+    "cosine": lambda z: z.cos(),
+    "fall": lambda z: 1 / (1 + z**4),
+}
+"""Smooth functions, of a ball or of a power series."""
+
+
+def rectified(name):
+    """ELU and ReLU, which have a kink and so take points, or balls on one side of it."""
+
+    def function(z):
+        if z >= 0:
+            return z
+        return z.exp() - 1 if name == "ELU" else arb(0)
+
+    return function
+
+
+def root_of(function):
+    """A function of sqrt u, at u >= 0."""
+    return lambda u: function(u.sqrt())
+
+
+OF_A_SQUARE = {
+    "inverse root": root_of(lambda r: 1 / r),
+    "squash": root_of(lambda r: arb(1) if r == 0 else r.tanh() / r),
+    "sech of root": root_of(lambda r: r.sech()),
+}
+
+
+def derivative(function, order, z):
+    """The derivative of an order of a smooth function, over a ball z."""
+    series = function(arb_series([z, 1], prec=order + 1))
+    coefficients = series.coeffs()
+    if len(coefficients) <= order:
+        return arb(0)
+    return coefficients[order] * arb(order).fac()
+
+
+def vector(values):
+    return [arb(float(value)) for value in np.asarray(values)]
+
+
+def dot(a, b):
+    return sum((x * y for x, y in zip(a, b, strict=True)), arb(0))
+
+
+def network_at(network, z):
+    """The outputs of a network at a point, a list of balls."""
+    hidden = z
+    if network.features is not None:
+        rows = zip(network.features.frequencies, network.features.phases, strict=True)
+        angles = [dot(vector(row), hidden) + float(phase) for row, phase in rows]
+        hidden = [angle.sin() for angle in angles] + [angle.cos() for angle in angles]
+    name = network.activation.name
+    activation = FUNCTIONS[name] if name in FUNCTIONS else rectified(name)
+    last = len(network.weights) - 1
+    for layer, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
+        hidden = [dot(vector(w), hidden) + float(b) for w, b in zip(weight, bias, strict=True)]
+        if layer < last:
+            hidden = [activation(unit) for unit in hidden]
+    return hidden
+
+
+def mixture_at(mixture, z):
+    """-log sum_i exp(-|z - x_i|^2 / 2 sigma^2), and its gradient."""
+    variance = arb(mixture.sigma) ** 2
+    offsets = [[a - b for a, b in zip(z, vector(x), strict=True)] for x in mixture.points]
+    weights = [(-dot(y, y) / (2 * variance)).exp() for y in offsets]
+    total = sum(weights, arb(0))
+    means = [dot(weights, [y[k] for y in offsets]) / total for k in range(len(z))]
+    return -total.log(), [mean / variance for mean in means]
+
+
+def field_at(field, z):
+    """m of a guiding field at a point in normalised units."""
+    N = network_at(field.tangent_network, z)
+    if isinstance(field.score_model, GaussianMixture):
+        S = [-entry for entry in mixture_at(field.score_model, z)[1]]
+    else:
+        outputs = network_at(field.score_model.network, [*z, arb(1)])
+        S = [output / arb(field.score_model.scale) for output in outputs]
+    return composed(field.composition, S, N)
+
+
+def composed(composition, S, N):
+    """m = s + v of a composition, by its formulas."""
+    gain = arb(composition.gain)
+    if isinstance(composition, (PaperComposition, NormalisedComposition)):
+        m = [s + v for s, v in zip(squashed(S, gain), N, strict=True)]
+        return m if isinstance(composition, PaperComposition) else direction(m, UNIT_SOFTENING)
+    v = direction(N, DIRECTION_SOFTENING)
+    normal = S
+    if composition.projects:
+        ratio = (arb(composition.sigma) / PROJECTION_RANGE) ** 2 * dot(S, S)
+        along = dot(S, v) / (1 + ratio ** (PROJECTION_POWER // 2))
+        normal = [s - along * entry for s, entry in zip(S, v, strict=True)]
+    share = composition.tangent_share * (gain * dot(normal, normal).sqrt()).sech()
+    return [a + share * b for a, b in zip(squashed(normal, gain), v, strict=True)]
+
+
+def squashed(S, gain):
+    size = dot(S, S).sqrt()
+    factor = gain if size == 0 else (gain * size).tanh() / size
+    return [factor * s for s in S]
+
+
+def direction(n, softening):
+    size = (dot(n, n) + arb(softening) ** 2).sqrt()
+    return [entry / size for entry in n]
+
+
+def model_at(model, row, column, d):
+    """The polynomial of a model at a step d, and its remainder, as balls."""
+    x, y = vector(d)
+    J, q = vector(model.jacobian[row, :, column]), vector(model.quadratic[row, :, column])
+    value = arb(float(model.value[row, column]))
+    polynomial = value + J[0] * x + J[1] * y + q[0] * x * x + q[1] * x * y + q[2] * y * y
+    return polynomial, arb(float(model.remainder[row, column]))

@@ -1,0 +1,117 @@
+"""C1 and C2 on trained fields: what is proved is so, and what is refuted is not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sgvf_drake.certificate import decrease, speed
+from sgvf_drake.certificate.boxes import Boxes
+from sgvf_drake.certificate.decrease import Decrease
+from sgvf_drake.certificate.division import Answer, divide
+from sgvf_drake.certificate.mixture_model import MixtureModel
+from sgvf_drake.certificate.speed import Speed
+from sgvf_drake.fields import GaussianMixture, Perceptron
+from sgvf_drake.lyapunov import LyapunovFunction
+
+START = Boxes.covering(5.0, 2.0**-4)
+SMALLEST = 2.0**-12
+
+
+@pytest.fixture(scope="module")
+def trained(robust_result):
+    """A field, V with levels from zero on, and V again as the sampled checks have it."""
+    field = robust_result.field
+    mixture = GaussianMixture(field.cloud.normalize(field.mixture.points), field.sigma)
+    at = Boxes(mixture.points[:1], np.zeros(1))
+    function = LyapunovFunction(mixture)
+    offset = MixtureModel(mixture).level_range(at)[0][0] - function(mixture.points[:1])[0]
+    return field, MixtureModel(mixture, float(offset)), function
+
+
+def normalised(field, z):
+    return field(field.cloud.denormalize(z))
+
+
+def inside_of(boxes, rng, count):
+    """Random points of random squares, and the numbers of the squares."""
+    chosen = rng.integers(len(boxes), size=count)
+    steps = rng.uniform(-1, 1, (count, 2)) * boxes.half[chosen, None]
+    return boxes.centers[chosen] + steps, chosen
+
+
+def test_what_is_proved_of_a_band_is_so(trained):
+    field, levels, function = trained
+    band = (1.0, 6.0)
+    found = Decrease(field, levels, *band, alpha=0.05, share=0.5).prove(START, SMALLEST)
+    assert found.proved
+    known = ~np.isnan(found.facts[:, decrease.RATE])
+    assert found.evaluated >= known.sum() > 1_000
+    z, chosen = inside_of(found.boxes[known], np.random.default_rng(0), 40_000)
+    facts = found.facts[known][chosen]
+    V, gradient = function.value_and_gradient(z)
+    V_dot = (gradient * normalised(field, z)).sum(axis=1)
+    rounding = 1e-9
+    assert (facts[:, decrease.LOW] <= V + rounding).all()
+    assert (facts[:, decrease.HIGH] >= V - rounding).all()
+    in_band = (band[0] <= V) & (band[1] >= V)
+    assert (V_dot <= facts[:, decrease.RATE] + rounding)[in_band].all()
+    speed_inward = -V_dot / np.linalg.norm(gradient, axis=1)
+    assert (speed_inward >= facts[:, decrease.MARGIN] - rounding)[in_band].all()
+    # Every point of the band is in a square.
+    x = np.random.default_rng(1).uniform(-5, 5, (20_000, 2))
+    x = x[(function(x) >= band[0]) & (function(x) <= band[1])][:500]
+    boxes = found.boxes[known]
+    away = np.abs(x[:, None] - boxes.centers).max(axis=2)
+    assert (away <= boxes.half).any(axis=1).all()
+
+
+def test_a_rate_that_is_not_there_is_refuted_by_a_point(trained):
+    field, levels, function = trained
+    found = Decrease(field, levels, 0.001, 3.0, alpha=0.05, share=0.0).prove(START, SMALLEST)
+    assert not found.proved
+    z = found.counterexample[None]
+    assert 0.001 <= function(z)[0] <= 3.0
+    assert function.derivative(z, normalised(field, z))[0] > -0.05
+
+
+def test_the_tube_is_left_behind_nowhere(trained):
+    field, levels, function = trained
+    found = Speed(field, levels, 0.5, delta=0.9).prove(START, SMALLEST)
+    assert found.proved
+    known = ~np.isnan(found.facts[:, speed.SPEED])
+    z, chosen = inside_of(found.boxes[known], np.random.default_rng(2), 40_000)
+    m = np.linalg.norm(normalised(field, z), axis=1)
+    assert (m >= found.facts[known][chosen][:, speed.SPEED] - 1e-9).all()
+    x = np.random.default_rng(3).uniform(-5, 5, (200_000, 2))
+    assert np.linalg.norm(normalised(field, x[function(x) <= 0.5]), axis=1).min() >= 0.9
+
+
+def test_a_planted_stop_on_the_path_is_found(trained):
+    """A tangent (z_0, 0), which turns around on the line z_0 = 0, across the path."""
+    field, levels, function = trained
+    network = Perceptron((np.array([[1.0, 0.0], [0.0, 0.0]]),), (np.zeros(2),))
+    planted = replace(field, tangent_network=network)
+    found = Speed(planted, levels, 0.5, delta=0.5).prove(START, SMALLEST)
+    assert not found.proved
+    z = found.counterexample[None]
+    assert function(z)[0] <= 0.5
+    assert np.linalg.norm(normalised(planted, z)) < 0.5
+
+
+def test_what_cannot_be_decided_is_kept():
+    def ask(boxes):
+        # Decided is what does not hold a point.
+        holds = (np.abs(boxes.centers - 0.3) <= boxes.half[:, None]).all(axis=1)
+        return Answer(~holds, np.zeros((len(boxes), 1)), len(boxes))
+
+    def refute(points):
+        return np.zeros(len(points), bool)
+
+    found = divide(Boxes.covering(1.0, 0.5), ask, refute, 2.0**-6)
+    assert not found.proved
+    assert found.counterexample is None
+    assert len(found.undecided) == 1
+    assert found.undecided.half[0] == 2.0**-6
+    area = (4 * found.boxes.half**2).sum() + (4 * found.undecided.half**2).sum()
+    assert area == 4.0
