@@ -7,8 +7,11 @@ from numpy.typing import ArrayLike
 from scipy import stats
 
 CONFIDENCE = 0.95
-# The range of a share of something.
 SHARE = (0.0, 1.0)
+"""The range of a share of something."""
+
+POSITIVE = (0.0, np.inf)
+"""The range of a length."""
 
 
 def interval(

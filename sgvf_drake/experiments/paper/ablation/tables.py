@@ -6,12 +6,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from sgvf_drake.experiments.intervals import SHARE, interval_columns
+from sgvf_drake.experiments.intervals import POSITIVE, SHARE, interval_columns
 from sgvf_drake.experiments.workbench import Record
 
 Range = tuple[float, float]
 ANY: Range = (-np.inf, np.inf)
-POSITIVE: Range = (0.0, np.inf)
 
 FOLLOWED = {
     "reach": ("following.reach", SHARE),
