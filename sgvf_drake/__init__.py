@@ -7,7 +7,7 @@
     field.save("field.safetensors")
 
 Loading and evaluating a field needs NumPy alone; torch is imported by the first use of
-`train` and its kin, the verification by that of `verify`.
+`train` and its kin, the verification by that of `verify` or `certify`.
 """
 
 from importlib import import_module
@@ -25,6 +25,7 @@ from sgvf_drake.fields import Field, GaussianMixture, GuidingField, load_field
 from sgvf_drake.paths import SHAPES, PointCloud, ReferencePath, make_shape, shape_path
 
 if TYPE_CHECKING:
+    from sgvf_drake.certificate import Certificate, certify
     from sgvf_drake.learning import SelfCheck, TrainingConfig, TrainingResult, train
     from sgvf_drake.lyapunov import LyapunovFunction, find_singularities, verify
 
@@ -34,10 +35,12 @@ __version__ = "0.1.0"
 _LATER = {
     **dict.fromkeys(("SelfCheck", "TrainingConfig", "TrainingResult", "train"), "learning"),
     **dict.fromkeys(("LyapunovFunction", "find_singularities", "verify"), "lyapunov"),
+    **dict.fromkeys(("Certificate", "certify"), "certificate"),
 }
 
 __all__ = [
     "SHAPES",
+    "Certificate",
     "ConfigurationError",
     "Field",
     "FieldFileError",
@@ -53,6 +56,7 @@ __all__ = [
     "SgvfError",
     "TrainingConfig",
     "TrainingResult",
+    "certify",
     "find_singularities",
     "load_field",
     "make_shape",

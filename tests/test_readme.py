@@ -12,7 +12,7 @@ from sgvf_drake import cli, load_field, make_shape
 
 ROOT = Path(__file__).parents[1]
 COMMANDS = {
-    *("train", "import", "follow", "fly", "verify", "singularities", "demo", "run"),
+    *("train", "import", "follow", "fly", "verify", "certify", "singularities", "demo", "run"),
     "reproduce",
 }
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -38,14 +38,13 @@ class Boxes:
         return Boxes(centers.reshape(-1, 2), np.repeat(half, len(QUARTERS)))
 
     @classmethod
-    def covering(cls, half_width: float, half: float) -> "Boxes":
-        """Returns a grid of squares around the origin that covers |z_k| <= `half_width`.
+    def square(cls, half: float) -> "Boxes":
+        """Returns the one square around the origin of a half-side."""
+        return cls(np.zeros((1, 2)), np.array([half]))
 
-        Args:
-            half_width: Of the square that is covered.
-            half: Of the squares; a power of two.
-        """
-        count = int(np.ceil(half_width / (2 * half)))
-        axis = half * (2 * np.arange(-count, count) + 1.0)
-        centers = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
-        return cls(centers, np.full(len(centers), half))
+    def divided(self, half: float) -> "Boxes":
+        """Returns the parts of squares of one size, of a half-side that halving leads to."""
+        boxes = self
+        while len(boxes) and boxes.half[0] > half:
+            boxes = boxes.quarters()
+        return boxes

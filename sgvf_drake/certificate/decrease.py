@@ -12,9 +12,10 @@ from sgvf_drake.certificate.mixture_model import MixtureModel
 from sgvf_drake.certificate.taylor_model import SLACK, TaylorModel
 from sgvf_drake.fields import GuidingField
 
-LOW, HIGH, RATE, MARGIN = range(4)
+LOW, HIGH, RATE, MARGIN, STEP = range(5)
 """Columns of the facts of a square: bounds of V; a bound from above of V_dot where V is in the
-band; a bound from below of -V_dot / |grad V| there, the speed at which m crosses the levels."""
+band; bounds from below there of -V_dot / |grad V|, the speed at which m crosses the levels, and
+of -V_dot / |m|^2."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +44,7 @@ class Decrease:
         return divide(boxes, self._ask, self._refute, smallest)
 
     def _ask(self, boxes: Boxes) -> Answer:
-        facts = np.full((len(boxes), 4), np.nan)
+        facts = np.full((len(boxes), 5), np.nan)
         facts[:, LOW], facts[:, HIGH] = self.levels.level_range(boxes)
         inside = self._touches(facts)
         with np.errstate(over="ignore", invalid="ignore"):
@@ -54,14 +55,20 @@ class Decrease:
             still = self._touches(facts[inside])
             inside[inside] = still
             V, gradient = V[still], gradient[still]
-            V_dot = gradient.dot(model_field(self.field, boxes[inside]))
-            facts[inside, RATE] = self._rate(V_dot, V)
-            steepest = (1 + SLACK) * np.linalg.norm(gradient.magnitude, axis=1)
-            facts[inside, MARGIN] = -facts[inside, RATE] / steepest
+            m = model_field(self.field, boxes[inside])
+            V_dot = gradient.dot(m)
+            rate = self._rate(V_dot, V)
+            steepest, fastest = (
+                (1 + SLACK) * np.linalg.norm(models.magnitude, axis=1)
+                for models in (gradient, m)
+            )
+            facts[inside, RATE:] = np.column_stack(
+                [rate, -rate / steepest, -rate / ((1 + SLACK) * fastest**2)]
+            )
         # What is not a number is not below anything either.
         decided = ~inside
         wanted = -np.maximum(self.alpha, self.share * np.abs(V_dot.value[:, 0]))
-        decided[inside] = facts[inside, RATE] <= wanted
+        decided[inside] = rate <= wanted
         return Answer(decided, facts, int(inside.sum()))
 
     def _touches(self, facts: FloatArray) -> BoolArray:

@@ -50,6 +50,21 @@ class MixtureModel:
         far = ((away + half) ** 2).sum(axis=2)
         return self._log_sum(near, -1), self._log_sum(far, 1)
 
+    def squares_below(self, level: float, within: Boxes, half: float) -> Boxes:
+        """Returns the parts of squares on which V may be at most a level.
+
+        Args:
+            level: c.
+            within: The squares, of one size.
+            half: Half-side of the parts.
+        """
+        boxes = within
+        while True:
+            boxes = boxes[self.level_range(boxes)[0] <= level]
+            if not len(boxes) or boxes.half[0] <= half:
+                return boxes
+            boxes = boxes.quarters()
+
     def _log_sum(self, squares: FloatArray, side: int) -> FloatArray:
         """Returns -log sum exp(-squares / 2 sigma^2) (n,), rounded to a side."""
         exponents = squares / (-2 * self.mixture.sigma**2)

@@ -25,12 +25,15 @@ class Speed:
         levels: V, in the field's normalised units.
         c_in: The level of the tube.
         delta: The speed.
+        share: Squares are divided until the bound of |m| is at least this part of |m| at their
+            centre.
     """
 
     field: GuidingField
     levels: MixtureModel
     c_in: float
     delta: float
+    share: float
 
     def prove(self, boxes: Boxes, smallest: float) -> Division:
         """Answers it over squares that cover the tube."""
@@ -47,7 +50,9 @@ class Speed:
             length = np.linalg.norm(m.value, axis=1, keepdims=True)
             along = m.weighted(m.value / ((1 + SLACK) * length))
             facts[inside, SPEED] = along.lower[:, 0]
-        decided = ~inside | (facts[:, SPEED] >= self.delta)
+        decided = ~inside
+        wanted = np.maximum(self.delta, self.share * length[:, 0])
+        decided[inside] = facts[inside, SPEED] >= wanted
         return Answer(decided, facts, int(inside.sum()))
 
     def _refute(self, z: FloatArray) -> BoolArray:

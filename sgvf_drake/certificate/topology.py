@@ -81,10 +81,7 @@ def cover(levels: MixtureModel, level: float, half_width: float, half: float) ->
         half_width: Of the square that is covered; a power of two times `half`.
         half: Of the squares; a power of two.
     """
-    boxes = Boxes(np.zeros((1, 2)), np.array([half_width]))
-    while boxes.half[0] > half:
-        boxes = boxes.quarters()
-        boxes = boxes[levels.level_range(boxes)[0] <= level]
+    boxes = levels.squares_below(level, Boxes.square(half_width), half)
     count = round(half_width / half)
     lower = np.full(2, -half_width)
     inside = np.zeros((count, count), bool)

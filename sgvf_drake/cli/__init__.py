@@ -11,6 +11,7 @@ from sgvf_drake.cli import importing  # isort: skip
 from sgvf_drake.cli import following  # isort: skip
 from sgvf_drake.cli import flying  # isort: skip
 from sgvf_drake.cli import verifying  # isort: skip
+from sgvf_drake.cli import certifying  # isort: skip
 from sgvf_drake.cli import singularities  # isort: skip
 from sgvf_drake.cli import demonstrating  # isort: skip
 from sgvf_drake.cli import running  # isort: skip
@@ -19,6 +20,7 @@ from sgvf_drake.cli.application import app, main
 
 __all__ = [
     "app",
+    "certifying",
     "demonstrating",
     "flying",
     "following",

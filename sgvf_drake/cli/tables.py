@@ -243,6 +243,31 @@ def print_verification(summary: Mapping[str, Any]) -> None:
     print_table("Verification", rows)
 
 
+def print_certificate(summary: Mapping[str, Any]) -> None:
+    """Prints the summary of a certificate."""
+    U = summary["unit_length"]
+    rows = {"certified": "yes" if summary["certified"] else "NO", "because": summary["reason"]}
+    if summary["c_in"] is not None:
+        rows["band of V"] = f"{summary['c_in']:.3g} to {summary['c_out']:.3g}"
+    if summary["sigma"] is not None:
+        holes = ", ".join(str(piece["holes"]) for piece in summary["pieces"])
+        rows |= {
+            "sigma of V": f"{summary['sigma'] / U:.3g} U",
+            "tube, basin": (
+                f"half-width at most {summary['tube_half_width'] / U:.3g} U, "
+                f"at least {summary['area_fraction']:.0%} of the box"
+            ),
+            "holes around the pieces": holes,
+            "V falls, |m|": (
+                f"by {summary['alpha'] * U:.3g} in each U, at least {summary['delta']:.3g}"
+            ),
+            "time to the tube": f"at most that for {summary['entry_time_bound'] / U:.3g} U",
+            "tolerated disturbance": f"up to {summary['e_star_max']:.3g} of the speed",
+        }
+    rows["squares, time"] = f"{summary['boxes']}, {summary['cpu_s']:.1f} s CPU"
+    print_table("Certificate", rows)
+
+
 def _followed(decrease: Mapping[str, Any]) -> str:
     if decrease["exit"] is not None:
         return str(decrease["exit"])

@@ -1,5 +1,6 @@
 """Experiments: what the commands run, each as a Drake simulation with its results."""
 
+from sgvf_drake.experiments.certify import run_certify
 from sgvf_drake.experiments.demo import run_demo
 from sgvf_drake.experiments.feasibility import check_feasibility
 from sgvf_drake.experiments.figures import (
@@ -51,6 +52,7 @@ __all__ = [
     "log_density_figure",
     "open_field",
     "override_names",
+    "run_certify",
     "run_demo",
     "run_fly",
     "run_follow",

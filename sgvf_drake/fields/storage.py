@@ -6,6 +6,7 @@ digest of the cloud.  A file whose parts do not agree is refused.
 """
 
 from collections.abc import Mapping
+import hashlib
 import json
 import os
 from pathlib import Path
@@ -63,15 +64,7 @@ def save_field(
     path = Path(path)
     if path.exists() and not overwrite:
         raise OutputExistsError(f"{path} exists; pass overwrite=True to replace it")
-    tensors = {POINTS_KEY: field.cloud.points, **_pack("tangent", field.tangent_network)}
-    if isinstance(field.score_model, ScoreNetwork):
-        tensors |= _pack("score", field.score_model.network)
-    if field.support is not None:
-        tensors[SUPPORT_KEY] = field.support
-    if field.end_points is not None:
-        tensors[ENDS_KEY] = field.end_points
-    contiguous = {key: np.ascontiguousarray(value) for key, value in tensors.items()}
-    data = save(contiguous, {HEADER_KEY: json.dumps(_header(field))})
+    data = _file_of(field)
     # In the folder of the target, so that the last step is an atomic rename.
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:
@@ -82,6 +75,23 @@ def save_field(
     except BaseException:
         os.unlink(temporary)
         raise
+
+
+def field_digest(field: GuidingField) -> str:
+    """Returns the SHA-256 digest of the file that a field is saved as, in hexadecimal."""
+    return hashlib.sha256(_file_of(field)).hexdigest()
+
+
+def _file_of(field: GuidingField) -> bytes:
+    tensors = {POINTS_KEY: field.cloud.points, **_pack("tangent", field.tangent_network)}
+    if isinstance(field.score_model, ScoreNetwork):
+        tensors |= _pack("score", field.score_model.network)
+    if field.support is not None:
+        tensors[SUPPORT_KEY] = field.support
+    if field.end_points is not None:
+        tensors[ENDS_KEY] = field.end_points
+    contiguous = {key: np.ascontiguousarray(value) for key, value in tensors.items()}
+    return save(contiguous, {HEADER_KEY: json.dumps(_header(field))})
 
 
 def load_field(path: str | os.PathLike[str]) -> GuidingField:

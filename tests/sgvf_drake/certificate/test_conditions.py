@@ -14,7 +14,7 @@ from sgvf_drake.certificate.speed import Speed
 from sgvf_drake.fields import GaussianMixture, Perceptron
 from sgvf_drake.lyapunov import LyapunovFunction
 
-START = Boxes.covering(5.0, 2.0**-4)
+START = Boxes.square(8.0).divided(2.0**-4)
 SMALLEST = 2.0**-12
 
 
@@ -77,7 +77,7 @@ def test_a_rate_that_is_not_there_is_refuted_by_a_point(trained):
 
 def test_the_tube_is_left_behind_nowhere(trained):
     field, levels, function = trained
-    found = Speed(field, levels, 0.5, delta=0.9).prove(START, SMALLEST)
+    found = Speed(field, levels, 0.5, delta=0.9, share=0.5).prove(START, SMALLEST)
     assert found.proved
     known = ~np.isnan(found.facts[:, speed.SPEED])
     z, chosen = inside_of(found.boxes[known], np.random.default_rng(2), 40_000)
@@ -92,7 +92,7 @@ def test_a_planted_stop_on_the_path_is_found(trained):
     field, levels, function = trained
     network = Perceptron((np.array([[1.0, 0.0], [0.0, 0.0]]),), (np.zeros(2),))
     planted = replace(field, tangent_network=network)
-    found = Speed(planted, levels, 0.5, delta=0.5).prove(START, SMALLEST)
+    found = Speed(planted, levels, 0.5, delta=0.5, share=0.5).prove(START, SMALLEST)
     assert not found.proved
     z = found.counterexample[None]
     assert function(z)[0] <= 0.5
@@ -108,7 +108,7 @@ def test_what_cannot_be_decided_is_kept():
     def refute(points):
         return np.zeros(len(points), bool)
 
-    found = divide(Boxes.covering(1.0, 0.5), ask, refute, 2.0**-6)
+    found = divide(Boxes.square(1.0).divided(0.5), ask, refute, 2.0**-6)
     assert not found.proved
     assert found.counterexample is None
     assert len(found.undecided) == 1

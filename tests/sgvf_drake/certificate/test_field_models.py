@@ -126,4 +126,4 @@ def test_bounds_become_tight_as_squares_become_small(make_field):
 
 def test_a_field_with_terminal_ends_is_not_bounded(make_field):
     with pytest.raises(ConfigurationError, match="terminal ends"):
-        model_field(make_field("robust", ends=1), Boxes.covering(1.0, 0.5))
+        model_field(make_field("robust", ends=1), Boxes.square(1.0).divided(0.5))

@@ -142,12 +142,11 @@ def test_functions_are_put_one_after_another():
 
 
 def test_quarters_cover_their_square_exactly():
-    boxes = Boxes.covering(3.0, 0.25)
-    assert len(boxes) == 12**2
-    quarters = boxes.quarters()
+    boxes = Boxes.square(4.0).divided(0.125)
+    assert len(boxes) == 32**2
+    assert set(boxes.half) == {0.125}
     # In binary fractions all of this is exact.
-    low, high = quarters.centers - quarters.half[:, None], quarters.centers + 0.125
-    corners = {(*a, *b) for a, b in zip(low.tolist(), high.tolist(), strict=True)}
-    assert len(corners) == 4 * len(boxes)
-    assert {c[0] for c in corners} == set(np.arange(-3, 3, 0.25))
-    assert {c[3] for c in corners} == set(np.arange(-2.75, 3.25, 0.25))
+    low = boxes.centers - boxes.half[:, None]
+    assert {tuple(corner) for corner in low.tolist()} == {
+        (x, y) for x in np.arange(-4, 4, 0.25) for y in np.arange(-4, 4, 0.25)
+    }

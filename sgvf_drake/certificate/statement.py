@@ -1,0 +1,208 @@
+"""What a certificate says: the conditions that were proved, and what follows from them."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields, replace
+import hashlib
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from sgvf_drake.exceptions import ConfigurationError
+
+FORMAT = "sgvf_drake.certificate"
+VERSION = 1
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """C1 and C2, in the field's normalised units.
+
+    C1: V_dot <= -alpha along m wherever c_in <= V <= c_out.  C2: |m| >= delta wherever
+    V <= c_in.
+
+    Attributes:
+        sigma: The noise level of V.
+        lowest: What is taken off -log sum_i exp(-|x - x_i|^2 / 2 sigma^2) to make V.
+        c_in: The lower level.
+        c_out: The upper level.
+        alpha: The rate, per normalised unit of length.
+        delta: The speed.
+        share: The part of V_dot and |m| that their bounds keep on every square; how sharp
+            what follows is, not what is true.
+    """
+
+    sigma: float
+    lowest: float
+    c_in: float
+    c_out: float
+    alpha: float
+    delta: float
+    share: float
+
+
+@dataclass(frozen=True)
+class PieceResult:
+    """What is proved of one piece of the path.
+
+    Attributes:
+        holes: Of the component of the tube that it lies in; None: it lies in none alone.
+        orbit_exists: Whether m has a closed orbit in that component, and it goes around its
+            hole once.
+    """
+
+    holes: int | None
+    orbit_exists: bool
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """A proof of path following, or what is in its way.
+
+    Lengths are in the unit of the waypoints, and times those at |m| = 1: at speed v, all
+    times are divided by v.
+
+    Attributes:
+        certified: Whether every piece of the path has a proved closed orbit, in the tube that
+            every robot from {V <= c_out} enters and stays in.
+        reason: Why it is so or not, in words.
+        field_digest: Of the field.
+        conditions: What was to be proved; None: samples showed nothing to prove.
+        sigma: The noise level of V; None, as the following, where nothing was proved.
+        alpha: The rate at which V falls in the band at least, per unit of length.
+        delta: |m| in the tube at least.
+        tube_half_width: Largest distance of {V <= c_in} from the path, at most.
+        area_fraction: Area of {V <= c_out} over that of the box, at least.
+        decrease_fraction: Part of the box where V was proved to fall.
+        entry_time_bound: Time from V = c_out to the tube, at most.
+        levels: Levels of V from c_in to c_out.
+        e_star: The disturbance that m tolerates on the levels between each and the next, at
+            least: {V <= c} stays invariant under x_dot = m + d with |d| below it.
+        step_bound: V falls with Euler steps of m that are shorter in time, from anywhere in
+            the band.
+        pieces: Of each piece of the path.
+        counterexample: (2,) a point where a condition does not hold; None: none was found.
+        boxes: Number of squares over which the field was bounded.
+        undecided: Number of squares on which nothing was decided.
+    """
+
+    certified: bool
+    reason: str
+    field_digest: str
+    conditions: Conditions | None = None
+    sigma: float | None = None
+    alpha: float | None = None
+    delta: float | None = None
+    tube_half_width: float | None = None
+    area_fraction: float | None = None
+    decrease_fraction: float | None = None
+    entry_time_bound: float | None = None
+    levels: tuple[float, ...] = ()
+    e_star: tuple[float, ...] = ()
+    step_bound: float | None = None
+    pieces: tuple[PieceResult, ...] = ()
+    counterexample: tuple[float, float] | None = None
+    boxes: int = 0
+    undecided: int = 0
+
+    @property
+    def e_star_max(self) -> float | None:
+        """The largest of `e_star`."""
+        return max(self.e_star, default=None)
+
+    def save(self, path: str | Path) -> None:
+        """Writes the certificate as JSON, whole or not at all."""
+        path = Path(path)
+        temporary = path.with_name(f".{path.name}.partial")
+        temporary.write_text(self.to_json(), encoding="utf-8")
+        temporary.replace(path)
+
+    def to_json(self) -> str:
+        """Returns the text of the file; its digest is that of all of the rest."""
+        body = asdict(self)
+        return json.dumps(
+            {"format": FORMAT, "version": VERSION, "digest": _digest(body), **body}, indent=1
+        )
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Certificate":
+        """Reads a certificate.
+
+        Raises:
+            ConfigurationError: The file is missing, damaged, foreign or of another version, or
+                anything in it was changed.
+        """
+        try:
+            text = Path(path).read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise ConfigurationError(f"{path}: cannot be read ({error})") from None
+        try:
+            return cls.from_json(text)
+        except ConfigurationError as error:
+            raise ConfigurationError(f"{path}: {error}") from None
+
+    @classmethod
+    def from_json(cls, text: str) -> "Certificate":
+        """Returns the certificate of a text of `to_json`; see `load`."""
+        try:
+            body = json.loads(text)
+        except (ValueError, RecursionError) as error:
+            raise ConfigurationError(f"no JSON document ({error})") from None
+        if not isinstance(body, dict) or body.pop("format", None) != FORMAT:
+            raise ConfigurationError("not a certificate of sgvf_drake")
+        if body.pop("version", None) != VERSION:
+            raise ConfigurationError(f"not a certificate of version {VERSION}")
+        if body.pop("digest", None) != _digest(body):
+            raise ConfigurationError("the certificate was changed after it was written")
+        try:
+            return cls._of(body)
+        except (KeyError, TypeError) as error:
+            raise ConfigurationError(f"not a whole certificate ({error})") from None
+
+    @classmethod
+    def _of(cls, body: Mapping[str, Any]) -> "Certificate":
+        names = {field.name for field in fields(cls)}
+        if set(body) != names:
+            raise KeyError(*sorted(names ^ set(body)))
+        point, conditions = body["counterexample"], body["conditions"]
+        return cls(
+            **{
+                **body,
+                "conditions": None if conditions is None else Conditions(**conditions),
+                "levels": tuple(body["levels"]),
+                "e_star": tuple(body["e_star"]),
+                "pieces": tuple(PieceResult(**piece) for piece in body["pieces"]),
+                "counterexample": None if point is None else tuple(point),
+            }
+        )
+
+    def is_as_strong_as(self, other: "Certificate", tolerance: float = 1e-9) -> bool:
+        """Whether this one proves what another claims, but for rounding.
+
+        On other machines the last bits of bounds differ.
+        """
+        if (self.certified, self.pieces, self.conditions) != (
+            other.certified,
+            other.pieces,
+            other.conditions,
+        ):
+            return False
+        at_least = ("alpha", "delta", "area_fraction", "decrease_fraction", "step_bound")
+        at_most = ("tube_half_width", "entry_time_bound")
+        pairs = [(getattr(self, name), getattr(other, name)) for name in at_least]
+        pairs += [(getattr(other, name), getattr(self, name)) for name in at_most]
+        pairs += list(zip(self.e_star, other.e_star, strict=False))
+        return self.levels == other.levels and all(
+            (mine is None) == (claimed is None)
+            and (mine is None or mine >= claimed - tolerance * math.fabs(claimed))
+            for mine, claimed in pairs
+        )
+
+    def refused(self, reason: str) -> "Certificate":
+        """Returns the same as not certified, with a reason before its own."""
+        return replace(self, certified=False, reason=f"{reason}; {self.reason}")
+
+
+def _digest(body: Mapping[str, Any]) -> str:
+    canonical = json.dumps(body, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(canonical.encode()).hexdigest()
