@@ -83,14 +83,15 @@ def tube_half_width(field: GuidingField, shape: Shape, reference: Reference) -> 
 def pieces_in(field: GuidingField, shape: Shape, reference: Reference) -> list[int | None]:
     """Returns the component, from 1, that each piece of the path lies in alone; or None."""
     found: list[int | None] = []
-    for points in _points_of(reference):
+    for points in points_of(reference):
         numbers = np.unique(shape.component_of(field.cloud.normalize(points)))
         alone = len(numbers) == 1 and numbers[0] > 0
         found.append(int(numbers[0]) if alone else None)
     return [number if found.count(number) == 1 else None for number in found]
 
 
-def _points_of(reference: Reference) -> list[FloatArray]:
+def points_of(reference: Reference) -> list[FloatArray]:
+    """Returns points (M, 2) on each piece of a path."""
     if isinstance(reference, ReferencePath):
         return [piece.vertices for piece in reference.pieces]
     assert isinstance(reference, TreeReference), type(reference)

@@ -54,6 +54,17 @@ class Smooth:
         rounding = error * (1 + reach + reach**2 / 2)
         return Expansion(value, slope, curvature, (1 + FORMULA) * rest + rounding + TINY)
 
+    def expand_slope(self, u: FloatArray, low: FloatArray, high: FloatArray) -> Expansion:
+        """Returns the expansion of the derivative; see `Differentiable`."""
+        _, slope, curvature = self.jet(u)
+        reach = np.maximum(high - u, u - low)
+        bend = np.maximum(np.abs(curvature - self.least), np.abs(self.most - curvature))
+        rest = np.minimum(self.third * np.maximum(reach, TINY) / 2, bend) * reach
+        error = FORMULA * (1 + np.abs(u)) if self.growth else FORMULA
+        rounding = error * (1 + reach)
+        zero = np.zeros_like(u)
+        return Expansion(slope, curvature, zero, (1 + FORMULA) * rest + rounding + TINY)
+
 
 def _silu(u: FloatArray) -> Jet:
     gate = 0.5 + 0.5 * np.tanh(0.5 * u)
@@ -164,10 +175,10 @@ def find_expansion(activation: str) -> Univariate:
 class Convex:
     """A convex function of u >= 0 whose second derivative falls.
 
-    That of a completely monotone function does, and all here are: u^(-1/2) is; tanh(sqrt u) /
-    sqrt u = sum_n 2 / (u + a_n^2) with a_n = (n - 1/2) pi, by the partial fractions of tanh;
-    and sech(sqrt u), the Laplace transform of the time at which a Brownian motion leaves an
-    interval.
+    That of a completely monotone function does, and all here are: 1 / u and u^(-1/2) are;
+    tanh(sqrt u) / sqrt u = sum_n 2 / (u + a_n^2) with a_n = (n - 1/2) pi, by the partial
+    fractions of tanh; and sech(sqrt u), the Laplace transform of the time at which a Brownian
+    motion leaves an interval.
 
     Attributes:
         value_and_slope: The function and its derivative, right within `FORMULA` (1 + u) of
@@ -189,6 +200,18 @@ class Convex:
         rounding = FORMULA * (1 + u) * (np.abs(value) + np.abs(slope) * reach)
         rest = (1 + FORMULA) * reach**2 / 2 * (bend + FORMULA * most)
         return Expansion(value, slope, curvature, rest + rounding + TINY)
+
+    def expand_slope(self, u: FloatArray, low: FloatArray, high: FloatArray) -> Expansion:
+        """Returns the expansion of the derivative; see `Differentiable`."""
+        _, slope = self.value_and_slope(u)
+        reach = np.maximum(high - u, u - low)
+        most, least = self.curvature(low)[1], self.curvature(high)[0]
+        here = self.curvature(u)
+        curvature = (here[0] + here[1]) / 2
+        bend = np.maximum(most - curvature, curvature - least)
+        rest = (1 + FORMULA) * reach * (bend + FORMULA * most)
+        rounding = FORMULA * (1 + u) * np.abs(slope)
+        return Expansion(slope, curvature, np.zeros_like(u), rest + rounding + TINY)
 
 
 # Below the first, u^(-5/2) could overflow; below the second, a bound by formula cancels.
@@ -251,6 +274,19 @@ def _sech(r: FloatArray) -> FloatArray:
     decay = np.exp(-r)
     return 2 * decay / (1 + decay**2)
 
+
+def _reciprocal(u: FloatArray) -> tuple[FloatArray, FloatArray]:
+    value = 1 / np.maximum(u, SMALLEST)
+    return value, -(value**2)
+
+
+def _reciprocal_curvature(u: FloatArray) -> tuple[FloatArray, FloatArray]:
+    curvature = 2 * np.maximum(u, SMALLEST) ** -3
+    return (1 - FORMULA) * curvature, (1 + FORMULA) * curvature
+
+
+RECIPROCAL = Convex(_reciprocal, _reciprocal_curvature)
+"""1 / u."""
 
 INVERSE_ROOT = Convex(_inverse_root, _inverse_root_curvature)
 """1 / sqrt(u)."""

@@ -1,10 +1,19 @@
 """Guiding fields over squares: models of m from those of its score and its tangent network."""
 
+from typing import TypeVar
+
 from sgvf_drake.certificate.boxes import Boxes
-from sgvf_drake.certificate.expansions import FALL, INVERSE_ROOT, SECH_OF_ROOT, SQUASH
+from sgvf_drake.certificate.dual_model import DualModel, dual_network
+from sgvf_drake.certificate.expansions import (
+    FALL,
+    INVERSE_ROOT,
+    SECH_OF_ROOT,
+    SQUASH,
+    find_expansion,
+)
 from sgvf_drake.certificate.mixture_model import MixtureModel
 from sgvf_drake.certificate.network_model import model_network
-from sgvf_drake.certificate.taylor_model import TaylorModel
+from sgvf_drake.certificate.taylor_model import Differentiable, TaylorModel
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import (
     GaussianMixture,
@@ -44,7 +53,37 @@ def model_score(score: ScoreNetwork | GaussianMixture, boxes: Boxes) -> TaylorMo
     return model_network(score.network.with_last_input(1.0), boxes).scaled(1 / score.scale)
 
 
-def compose(composition: Composition, S: TaylorModel, N: TaylorModel) -> TaylorModel:
+def has_dual(field: GuidingField) -> bool:
+    """Whether `dual_field` bounds the derivatives of a field."""
+    score = field.score_model
+    networks = [
+        field.tangent_network,
+        *([score.network] if isinstance(score, ScoreNetwork) else []),
+    ]
+    smooth = all(
+        isinstance(find_expansion(network.activation.name), Differentiable)
+        for network in networks
+    )
+    return len(networks) == 2 and smooth and not len(field.ends)
+
+
+def dual_field(field: GuidingField, boxes: Boxes) -> DualModel:
+    """Returns the models of m and of its derivatives, by normalised units of length.
+
+    Raises:
+        ConfigurationError: The field is of a kind whose derivatives nothing here bounds.
+    """
+    if not has_dual(field) or not isinstance(field.score_model, ScoreNetwork):
+        raise ConfigurationError("only derivatives of smooth learned fields are bounded")
+    network, scale = field.score_model.network, field.score_model.scale
+    S = dual_network(network.with_last_input(1.0), boxes).scaled(1 / scale)
+    return compose(field.composition, S, dual_network(field.tangent_network, boxes))
+
+
+Model = TypeVar("Model", TaylorModel, DualModel)
+
+
+def compose(composition: Composition, S: Model, N: Model) -> Model:
     """Returns the models of m = s + v by a composition; see `Composition.value`."""
     match composition:
         case PaperComposition(gain=gain):
@@ -56,7 +95,7 @@ def compose(composition: Composition, S: TaylorModel, N: TaylorModel) -> TaylorM
     raise ConfigurationError(f"nothing bounds a {type(composition).__name__}")
 
 
-def _robust(composition: RobustComposition, S: TaylorModel, N: TaylorModel) -> TaylorModel:
+def _robust(composition: RobustComposition, S: Model, N: Model) -> Model:
     v = _direction(N, DIRECTION_SOFTENING)
     normal = S
     if composition.projects:
@@ -69,13 +108,13 @@ def _robust(composition: RobustComposition, S: TaylorModel, N: TaylorModel) -> T
     return a * normal + b * v
 
 
-def _squashed(S: TaylorModel, gain: float) -> TaylorModel:
+def _squashed(S: Model, gain: float) -> Model:
     """tanh(k |S|) S / |S|."""
     factor = S.dot(S).scaled(gain**2).apply(SQUASH, least=0.0)
     return factor.scaled(gain) * S
 
 
-def _direction(n: TaylorModel, softening: float) -> TaylorModel:
+def _direction(n: Model, softening: float) -> Model:
     """N / sqrt(|n|^2 + softening^2)."""
     square = n.dot(n).shifted(softening**2)
     return square.apply(INVERSE_ROOT, least=softening**2) * n

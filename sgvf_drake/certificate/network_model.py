@@ -53,18 +53,18 @@ def model_network(network: Perceptron, boxes: Boxes) -> TaylorModel:
     activation = find_expansion(network.activation.name)
     entry, layers = units.remainder, []
     for weight, bias in zip(network.weights[:-1], network.biases[:-1], strict=True):
-        units, layer = _activate(activation, *_affine(units, weight, bias))
+        units, layer = _activate(activation, *affine(units, weight, bias))
         layers.append(layer)
-    outputs, rounding = _affine(units, network.weights[-1], network.biases[-1])
+    outputs, rounding = affine(units, network.weights[-1], network.biases[-1])
     return replace(outputs, remainder=_carried(network, layers, entry) + rounding + TINY)
 
 
 def _features(features: FourierFeatures, position: TaylorModel) -> TaylorModel:
-    angles, _ = _affine(position, features.frequencies, features.phases)
+    angles, _ = affine(position, features.frequencies, features.phases)
     return concatenate([angles.apply(SINE), angles.apply(COSINE)])
 
 
-def _affine(
+def affine(
     units: TaylorModel, weight: FloatArray, bias: FloatArray
 ) -> tuple[TaylorModel, FloatArray]:
     """Returns the models of weight units + bias, and what their own rounding is at most."""

@@ -11,13 +11,15 @@ from sgvf_drake.certificate.boxes import Boxes
 from sgvf_drake.certificate.consequences import Rates
 from sgvf_drake.certificate.decrease import Decrease
 from sgvf_drake.certificate.division import Division
-from sgvf_drake.certificate.field_model import model_field
+from sgvf_drake.certificate.field_model import has_dual, model_field
+from sgvf_drake.certificate.inner import find_inner, lowest_of, mixture_of, prove_inner
 from sgvf_drake.certificate.mixture_model import MixtureModel
+from sgvf_drake.certificate.orbits import Contraction, Ring, Turning
 from sgvf_drake.certificate.speed import Speed
 from sgvf_drake.certificate.statement import Certificate, Conditions, PieceResult
 from sgvf_drake.certificate.topology import Shape, shape_of_band
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.fields import GaussianMixture, GuidingField
+from sgvf_drake.fields import GuidingField
 from sgvf_drake.fields.storage import field_digest
 from sgvf_drake.lyapunov import (
     LyapunovFunction,
@@ -31,10 +33,6 @@ from sgvf_drake.progress import Progress, no_progress
 
 # Everything is proved inside of this square, normalised units; the waypoints are within 4.
 HALF_WIDTH = 8.0
-# Squares over which a field is bounded first, and that are divided no more.
-FIRST, LAST = 2.0**-5, 2.0**-14
-# Squares of the covers that are counted.
-COVER = 2.0**-7
 # What is to be proved: V falls by more than this in every normalised unit of length, and m is
 # at least so fast in the tube; and how sharp the bounds are to be.
 ALPHA, DELTA, SHARE = 0.01, 0.05, 0.5
@@ -43,6 +41,47 @@ LEVEL_MARGIN, LEVEL_FLOOR = 0.03, 0.005
 ATTEMPTS = 12
 # A band on which V changes by less is none.
 MIN_BAND = 0.1
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Half-sides of squares, in proportion to the scale on which a field turns.
+
+    Attributes:
+        unit: The largest power of two that is no larger than the noise level of the field.
+    """
+
+    unit: float
+
+    @classmethod
+    def of(cls, field: GuidingField) -> "Sizes":
+        """Returns the sizes for a field."""
+        return cls(2.0 ** np.floor(np.log2(min(field.sigma, 1.0))))
+
+    @property
+    def first(self) -> float:
+        """Of the squares over which a field is bounded first."""
+        return self.unit / 2
+
+    @property
+    def ring(self) -> float:
+        """Of those in the tube."""
+        return self.unit / 4
+
+    @property
+    def cover(self) -> float:
+        """Of the covers whose components and holes are counted."""
+        return self.unit / 8
+
+    @property
+    def thin(self) -> float:
+        """Of those of the thinner tube."""
+        return self.unit / 16
+
+    @property
+    def last(self) -> float:
+        """Of squares that are divided no more."""
+        return self.unit / 1024
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +114,7 @@ def certify(
     if field.dim != 2:
         raise ConfigurationError(f"only planar fields are certified, not one of {field.dim}-D")
     # What nothing bounds is told before the search.
-    model_field(field, Boxes.square(FIRST))
+    model_field(field, Boxes.square(Sizes.of(field).cover))
     reference = learned_path(field) if reference is None else reference
     samples = take_samples(field)
     stops = find_guiding_zeros(field).points
@@ -83,7 +122,7 @@ def certify(
     if band is None:
         return _without_band(field, reference, stops)
     sigma = band.function.sigma / field.cloud.unit_length
-    lowest = _lowest(_mixture(field, sigma))
+    lowest = lowest_of(mixture_of(field, sigma))
     proposed = Conditions(sigma, lowest, band.c_in, band.c_out, ALPHA, DELTA, SHARE)
     return _prove_narrowing(field, proposed, reference, progress)
 
@@ -104,40 +143,94 @@ def check(
     if certificate.conditions is None or not certificate.certified:
         raise ConfigurationError("the certificate certifies nothing")
     reference = learned_path(field) if reference is None else reference
-    found = prove(field, certificate.conditions, reference).certificate
+    found = prove(field, certificate.conditions, reference, certificate.inner).certificate
     if not found.is_as_strong_as(certificate):
         return found.refused("what is claimed is not what is proved")
     return found
 
 
-def prove(field: GuidingField, conditions: Conditions, reference: Reference) -> Attempt:
-    """Proves conditions of a field, and what follows from them for the pieces of a path."""
-    levels = MixtureModel(_mixture(field, conditions.sigma), conditions.lowest)
-    basin = levels.squares_below(conditions.c_out, Boxes.square(HALF_WIDTH), FIRST)
-    if not len(basin) or np.abs(basin.centers).max() + FIRST >= HALF_WIDTH:
+def prove(
+    field: GuidingField,
+    conditions: Conditions,
+    reference: Reference,
+    inner: Conditions | None = None,
+    *,
+    search: bool = False,
+) -> Attempt:
+    """Proves conditions of a field, and what follows from them for the pieces of a path.
+
+    Args:
+        field: The field.
+        conditions: What is to be proved.
+        reference: The path.
+        inner: Those of a thinner tube inside, for the orbits; None: there is none.
+        search: Whether one is searched for.
+    """
+    sizes = Sizes.of(field)
+    levels = MixtureModel(mixture_of(field, conditions.sigma), conditions.lowest)
+    basin = levels.squares_below(conditions.c_out, Boxes.square(HALF_WIDTH), sizes.first)
+    if not len(basin) or np.abs(basin.centers).max() + sizes.first >= HALF_WIDTH:
         return Attempt(_failed(field, conditions, "{V <= c_out} is not a set in the square"))
     c = conditions
-    falls = Decrease(field, levels, c.c_in, c.c_out, c.alpha, c.share).prove(basin, LAST)
+    falls = Decrease(field, levels, c.c_in, c.c_out, c.alpha, c.share).prove(basin, sizes.last)
     if not falls.proved:
         return _undone(field, conditions, "V falls along m on the band", [falls])
-    tube = levels.squares_below(c.c_in, Boxes.square(HALF_WIDTH), FIRST)
-    moves = Speed(field, levels, c.c_in, c.delta, c.share).prove(tube, LAST)
+    tube = levels.squares_below(c.c_in, Boxes.square(HALF_WIDTH), sizes.ring)
+    moves = Speed(field, levels, c.c_in, c.delta, c.share).prove(tube, sizes.last)
     if not moves.proved:
         return _undone(field, conditions, "m is nowhere zero in the tube", [falls, moves])
-    shape = shape_of_band(levels, c.c_in, c.c_out, HALF_WIDTH, COVER)
+    shape = shape_of_band(levels, c.c_in, c.c_out, HALF_WIDTH, sizes.cover)
     if shape is None:
         return Attempt(_failed(field, conditions, "the band is too thin for the covers"))
-    return Attempt(_certificate(field, conditions, reference, falls, moves, shape))
+    outer = Outer(conditions, reference, falls, moves, shape)
+    cover = levels.squares_below(c.c_in, Boxes.square(HALF_WIDTH), sizes.cover)
+    halves = (sizes.ring, sizes.thin)
+    if search:
+        found = find_inner(field, conditions, cover, HALF_WIDTH, halves, sizes.last)
+    elif inner is not None:
+        found = _known_inner(field, inner, cover)
+    else:
+        found = None
+    return Attempt(_certificate(field, outer, found))
+
+
+def _known_inner(
+    field: GuidingField, inner: Conditions, cover: Boxes
+) -> tuple[Conditions, Shape, int] | None:
+    sizes = Sizes.of(field)
+    proved = prove_inner(field, inner, cover, HALF_WIDTH, (sizes.ring, sizes.thin), sizes.last)
+    if proved is None or not proved[0].proved or proved[1] is None:
+        return None
+    return inner, proved[1], proved[0].evaluated
+
+
+@dataclass(frozen=True, eq=False)
+class Outer:
+    """What was proved of the basin and the tube.
+
+    Attributes:
+        conditions: C1 and C2.
+        reference: The path.
+        falls: What C1 came to.
+        moves: What C2 came to.
+        shape: The components and holes of the tube.
+    """
+
+    conditions: Conditions
+    reference: Reference
+    falls: Division
+    moves: Division
+    shape: Shape
 
 
 def _prove_narrowing(
     field: GuidingField, conditions: Conditions, reference: Reference, progress: Progress
 ) -> Certificate:
     """Proves conditions on the band that is left where V was found not to fall."""
-    function = LyapunovFunction(_mixture(field, conditions.sigma))
+    function = LyapunovFunction(mixture_of(field, conditions.sigma))
     boxes = 0
     for number in range(ATTEMPTS):
-        attempt = prove(field, conditions, reference)
+        attempt = prove(field, conditions, reference, search=True)
         boxes += attempt.certificate.boxes
         progress("prove", number + 1, ATTEMPTS)
         if attempt.obstacle is None:
@@ -165,71 +258,87 @@ def _narrowed(conditions: Conditions, level: float) -> Conditions | None:
     return replace(conditions, c_in=c_in, c_out=c_out)
 
 
-def _mixture(field: GuidingField, sigma: float) -> GaussianMixture:
-    return GaussianMixture(field.cloud.normalize(field.mixture.points), sigma)
-
-
-def _lowest(mixture: GaussianMixture) -> float:
-    """Returns what makes the lowest V zero, but for rounding."""
-    at = mixture.points[:1]
-    free, _ = MixtureModel(mixture).level_range(Boxes(at, np.zeros(1)))
-    return float(free[0] - LyapunovFunction(mixture)(at)[0])
-
-
 def _certificate(
-    field: GuidingField,
-    conditions: Conditions,
-    reference: Reference,
-    falls: Division,
-    moves: Division,
-    shape: Shape,
+    field: GuidingField, outer: Outer, inner: tuple[Conditions, Shape, int] | None
 ) -> Certificate:
-    found: Rates = consequences.rates(falls, conditions.c_in, conditions.c_out)
+    c, falls = outer.conditions, outer.falls
+    found: Rates = consequences.rates(falls, c.c_in, c.c_out)
     unit = field.cloud.unit_length
     lower, upper = field.cloud.box
     box = float(np.prod((upper - lower) / unit))
-    pieces = _pieces(field, reference, shape)
+    pieces, boxes = _pieces(field, outer, inner)
     missing = [k + 1 for k, piece in enumerate(pieces) if not piece.orbit_exists]
     reason = "every piece has a closed orbit in its part of the tube"
     if missing:
         reason = f"no orbit is proved of piece {', '.join(map(str, missing))}"
-    speeds = moves.facts[:, speed.SPEED]
+    widths = [
+        consequences.tube_half_width(field, shape, outer.reference)
+        for shape in (outer.shape, *([] if inner is None else [inner[1]]))
+    ]
     return Certificate(
         certified=not missing,
         reason=reason,
         field_digest=field_digest(field),
-        conditions=conditions,
-        sigma=conditions.sigma * unit,
+        conditions=c,
+        inner=None if inner is None else inner[0],
+        sigma=c.sigma * unit,
         alpha=float(found.alpha.min()) / unit,
-        delta=float(np.nanmin(speeds)),
-        tube_half_width=consequences.tube_half_width(field, shape, reference),
-        area_fraction=consequences.basin_area(falls, conditions.c_out) / box,
-        decrease_fraction=consequences.falling_area(falls, conditions.c_in, conditions.c_out)
-        / box,
+        delta=float(np.nanmin(outer.moves.facts[:, speed.SPEED])),
+        tube_half_width=widths[0],
+        orbit_half_width=min(widths),
+        area_fraction=consequences.basin_area(falls, c.c_out) / box,
+        decrease_fraction=consequences.falling_area(falls, c.c_in, c.c_out) / box,
         entry_time_bound=found.entry_time * unit,
         levels=tuple(found.levels.tolist()),
         e_star=tuple(found.e_star.tolist()),
         # The Hessian of V is at most I / sigma^2.
-        step_bound=2 * conditions.sigma**2 * found.step * unit,
+        step_bound=2 * c.sigma**2 * found.step * unit,
         pieces=pieces,
-        counterexample=None,
-        boxes=falls.evaluated + moves.evaluated,
-        undecided=0,
+        boxes=boxes + falls.evaluated + outer.moves.evaluated,
     )
 
 
-def _pieces(field: GuidingField, reference: Reference, shape: Shape) -> tuple[PieceResult, ...]:
-    """In a forward invariant ring without a zero there is a closed orbit around its hole.
+def _pieces(
+    field: GuidingField, outer: Outer, inner: tuple[Conditions, Shape, int] | None
+) -> tuple[tuple[PieceResult, ...], int]:
+    """Returns what is proved of each piece, and over how many squares.
 
-    By the theorem of Poincare and Bendixson; an orbit around nothing would have a zero inside,
-    in the ring, which has none.
+    In a forward invariant ring without a zero there is a closed orbit around its hole, by the
+    theorem of Poincare and Bendixson; an orbit around nothing would have a zero inside, in the
+    ring, which has none.
     """
-    components = consequences.pieces_in(field, shape, reference)
-    holes = [None if number is None else shape.holes[number - 1] for number in components]
-    return tuple(
-        PieceResult(count, bool(count == 1 and closed))
-        for count, closed in zip(holes, reference.closed, strict=True)
-    )
+    sizes = Sizes.of(field)
+    results, boxes = [], 0 if inner is None else inner[2]
+    components = consequences.pieces_in(field, outer.shape, outer.reference)
+    for number, points in enumerate(consequences.points_of(outer.reference)):
+        component = components[number]
+        holes = None if component is None else outer.shape.holes[component - 1]
+        result = PieceResult(holes, bool(holes == 1 and outer.reference.closed[number]))
+        if component is not None and result.orbit_exists:
+            ring = Ring.of(field, outer.conditions, outer.shape, component, sizes.ring)
+            if inner is not None:
+                ring = ring.inside(field, *inner[:2], sizes.thin)
+            result, evaluated = _orbit(field, ring, result, field.cloud.normalize(points))
+            boxes += evaluated
+        results.append(result)
+    return tuple(results), boxes
+
+
+def _orbit(
+    field: GuidingField, ring: Ring, result: PieceResult, points: FloatArray
+) -> tuple[PieceResult, int]:
+    """Returns what is proved of the orbit about a piece, and over how many squares."""
+    boxes, unit, last = 0, field.cloud.unit_length, Sizes.of(field).last
+    if has_dual(field) and ring.is_whole:
+        contraction = Contraction(field, ring.levels, ring.c_in).prove(ring.squares, last)
+        result = replace(result, orbit_unique=contraction.proved or None)
+        boxes += contraction.evaluated
+    turning = Turning.about(field, ring.levels, ring.c_in, points.mean(axis=0), points)
+    turns = turning.prove(ring.squares, last)
+    if turns.proved:
+        low, high = turning.lap_time(turns)
+        result = replace(result, lap_time_low=low * unit, lap_time_high=high * unit)
+    return result, boxes + turns.evaluated
 
 
 def _undone(

@@ -49,10 +49,18 @@ class PieceResult:
         holes: Of the component of the tube that it lies in; None: it lies in none alone.
         orbit_exists: Whether m has a closed orbit in that component, and it goes around its
             hole once.
+        orbit_unique: Whether it is the only one there, and attracts all that enters; None: it
+            is not known.
+        lap_time_low: Time of a lap, at least; None: nothing is known, as where the piece is
+            not star-shaped.
+        lap_time_high: Time of a lap, at most.
     """
 
     holes: int | None
     orbit_exists: bool
+    orbit_unique: bool | None = None
+    lap_time_low: float | None = None
+    lap_time_high: float | None = None
 
 
 @dataclass(frozen=True)
@@ -68,10 +76,13 @@ class Certificate:
         reason: Why it is so or not, in words.
         field_digest: Of the field.
         conditions: What was to be proved; None: samples showed nothing to prove.
+        inner: C1 of another V' on a band that the tube begins in: closed orbits lie in
+            {V' <= c_in'}; None: there is none.
         sigma: The noise level of V; None, as the following, where nothing was proved.
         alpha: The rate at which V falls in the band at least, per unit of length.
         delta: |m| in the tube at least.
         tube_half_width: Largest distance of {V <= c_in} from the path, at most.
+        orbit_half_width: Largest distance from the path of what holds the closed orbits.
         area_fraction: Area of {V <= c_out} over that of the box, at least.
         decrease_fraction: Part of the box where V was proved to fall.
         entry_time_bound: Time from V = c_out to the tube, at most.
@@ -90,10 +101,12 @@ class Certificate:
     reason: str
     field_digest: str
     conditions: Conditions | None = None
+    inner: Conditions | None = None
     sigma: float | None = None
     alpha: float | None = None
     delta: float | None = None
     tube_half_width: float | None = None
+    orbit_half_width: float | None = None
     area_fraction: float | None = None
     decrease_fraction: float | None = None
     entry_time_bound: float | None = None
@@ -164,11 +177,14 @@ class Certificate:
         names = {field.name for field in fields(cls)}
         if set(body) != names:
             raise KeyError(*sorted(names ^ set(body)))
-        point, conditions = body["counterexample"], body["conditions"]
+        point, conditions, inner = (
+            body[name] for name in ("counterexample", "conditions", "inner")
+        )
         return cls(
             **{
                 **body,
                 "conditions": None if conditions is None else Conditions(**conditions),
+                "inner": None if inner is None else Conditions(**inner),
                 "levels": tuple(body["levels"]),
                 "e_star": tuple(body["e_star"]),
                 "pieces": tuple(PieceResult(**piece) for piece in body["pieces"]),
@@ -181,26 +197,31 @@ class Certificate:
 
         On other machines the last bits of bounds differ.
         """
-        if (self.certified, self.pieces, self.conditions) != (
-            other.certified,
-            other.pieces,
-            other.conditions,
-        ):
+        mine, claimed = ((one.certified, one.conditions, one.inner) for one in (self, other))
+        if mine != claimed:
+            return False
+        if [_kind(piece) for piece in self.pieces] != [_kind(piece) for piece in other.pieces]:
             return False
         at_least = ("alpha", "delta", "area_fraction", "decrease_fraction", "step_bound")
-        at_most = ("tube_half_width", "entry_time_bound")
+        at_most = ("tube_half_width", "orbit_half_width", "entry_time_bound")
         pairs = [(getattr(self, name), getattr(other, name)) for name in at_least]
         pairs += [(getattr(other, name), getattr(self, name)) for name in at_most]
         pairs += list(zip(self.e_star, other.e_star, strict=False))
+        for here, there in zip(self.pieces, other.pieces, strict=True):
+            pairs.append((here.lap_time_low, there.lap_time_low))
+            pairs.append((there.lap_time_high, here.lap_time_high))
         return self.levels == other.levels and all(
-            (mine is None) == (claimed is None)
-            and (mine is None or mine >= claimed - tolerance * math.fabs(claimed))
-            for mine, claimed in pairs
+            (a is None) == (b is None) and (a is None or a >= b - tolerance * math.fabs(b))
+            for a, b in pairs
         )
 
     def refused(self, reason: str) -> "Certificate":
         """Returns the same as not certified, with a reason before its own."""
         return replace(self, certified=False, reason=f"{reason}; {self.reason}")
+
+
+def _kind(piece: PieceResult) -> tuple[int | None, bool, bool | None]:
+    return piece.holes, piece.orbit_exists, piece.orbit_unique
 
 
 def _digest(body: Mapping[str, Any]) -> str:

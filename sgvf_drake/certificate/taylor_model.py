@@ -9,8 +9,9 @@ an operation makes fewer than `ROUNDINGS` roundings one after another, each of w
 At order one the same arithmetic is simpler, and takes some four times as many squares.
 """
 
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -50,11 +51,22 @@ class Expansion:
     rest: FloatArray
 
 
+Expand = Callable[[FloatArray, FloatArray, FloatArray], Expansion]
+
+
 class Univariate(Protocol):
     """A function of one variable that can be bounded."""
 
     def expand(self, u: FloatArray, low: FloatArray, high: FloatArray) -> Expansion:
         """Returns the expansion about u that holds on [low, high], which holds u."""
+
+
+@runtime_checkable
+class Differentiable(Univariate, Protocol):
+    """One whose derivative can be bounded too."""
+
+    def expand_slope(self, u: FloatArray, low: FloatArray, high: FloatArray) -> Expansion:
+        """Returns the expansion of the derivative about u that holds on [low, high]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,14 +90,14 @@ class TaylorModel:
     @classmethod
     def position(cls, boxes: Boxes) -> "TaylorModel":
         """Returns the models of the two coordinates."""
-        count = len(boxes)
-        return cls(
-            boxes.half,
-            boxes.centers,
-            np.broadcast_to(np.eye(2), (count, 2, 2)),
-            np.zeros((count, 3, 2)),
-            np.zeros((count, 2)),
-        )
+        linear = np.broadcast_to(np.eye(2), (len(boxes), 2, 2))
+        return replace(cls.constant(boxes.half, boxes.centers), jacobian=linear)
+
+    @classmethod
+    def constant(cls, half: FloatArray, value: FloatArray) -> "TaylorModel":
+        """Returns the models of numbers (n, k)."""
+        n, k = value.shape
+        return cls(half, value, np.zeros((n, 2, k)), np.zeros((n, 3, k)), np.zeros((n, k)))
 
     def __getitem__(self, rows: BoolArray) -> "TaylorModel":
         """Returns the models over some of the squares."""
@@ -190,10 +202,15 @@ class TaylorModel:
             least: What is known to be a lower bound of the functions themselves, as zero is
                 of a square.
         """
+        return self._applied(function.expand, least)
+
+    def apply_slope(self, function: Differentiable, *, least: float = -np.inf) -> "TaylorModel":
+        """Returns the models of the derivative of a function; see `apply`."""
+        return self._applied(function.expand_slope, least)
+
+    def _applied(self, expand: Expand, least: float) -> "TaylorModel":
         about = np.maximum(self.value, least)
-        found = function.expand(
-            about, np.maximum(self.lower, least), np.maximum(self.upper, least)
-        )
+        found = expand(about, np.maximum(self.lower, least), np.maximum(self.upper, least))
         models, own = self.carried(found, about)
         remainder = np.abs(found.slope) * self.remainder + own
         return TaylorModel(

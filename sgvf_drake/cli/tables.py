@@ -250,14 +250,14 @@ def print_certificate(summary: Mapping[str, Any]) -> None:
     if summary["c_in"] is not None:
         rows["band of V"] = f"{summary['c_in']:.3g} to {summary['c_out']:.3g}"
     if summary["sigma"] is not None:
-        holes = ", ".join(str(piece["holes"]) for piece in summary["pieces"])
+        pieces = summary["pieces"]
         rows |= {
             "sigma of V": f"{summary['sigma'] / U:.3g} U",
             "tube, basin": (
                 f"half-width at most {summary['tube_half_width'] / U:.3g} U, "
                 f"at least {summary['area_fraction']:.0%} of the box"
             ),
-            "holes around the pieces": holes,
+            "closed orbits": ", ".join(_orbit(piece, U) for piece in pieces),
             "V falls, |m|": (
                 f"by {summary['alpha'] * U:.3g} in each U, at least {summary['delta']:.3g}"
             ),
@@ -266,6 +266,16 @@ def print_certificate(summary: Mapping[str, Any]) -> None:
         }
     rows["squares, time"] = f"{summary['boxes']}, {summary['cpu_s']:.1f} s CPU"
     print_table("Certificate", rows)
+
+
+def _orbit(piece: Mapping[str, Any], U: float) -> str:
+    if not piece["orbit_exists"]:
+        return "not proved"
+    known = "one" if piece["orbit_unique"] else "at least one"
+    if piece["lap_time_low"] is None:
+        return known
+    low, high = piece["lap_time_low"] / U, piece["lap_time_high"] / U
+    return f"{known}, a lap as long as {low:.3g} to {high:.3g} U take"
 
 
 def _followed(decrease: Mapping[str, Any]) -> str:

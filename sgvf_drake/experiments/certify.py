@@ -1,5 +1,6 @@
 """Certify a field: the proof, its file, its figure, and the check of a certificate."""
 
+from dataclasses import asdict
 from os import PathLike
 import time
 from typing import Any
@@ -85,6 +86,7 @@ def certificate_summary(found: Certificate) -> dict[str, Any]:
         "alpha": found.alpha,
         "delta": found.delta,
         "tube_half_width": found.tube_half_width,
+        "orbit_half_width": found.orbit_half_width,
         "area_fraction": found.area_fraction,
         "decrease_fraction": found.decrease_fraction,
         "boxes": found.boxes,
@@ -94,7 +96,5 @@ def certificate_summary(found: Certificate) -> dict[str, Any]:
         "e_star": {"levels": found.levels, "e_star": found.e_star},
         "step_bound": found.step_bound,
         "counterexample": found.counterexample,
-        "pieces": [
-            {"holes": piece.holes, "orbit_exists": piece.orbit_exists} for piece in found.pieces
-        ],
+        "pieces": [asdict(piece) for piece in found.pieces],
     }

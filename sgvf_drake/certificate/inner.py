@@ -1,0 +1,145 @@
+"""A thinner tube inside of the first: where the closed orbits are, by another noise level.
+
+The first V has to fall far from the path, and its ripple along the waypoints keeps its tube
+wide.  A V of a higher noise level has no ripple, but its valley lies a little aside where the
+path bends.  Which one shows the orbits best is tried; since every orbit of the first tube is in
+{V' <= c_out'}, it is in {V' <= c_in'} where V' is proved to fall in between.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from sgvf_drake.arrays import FloatArray
+from sgvf_drake.certificate.boxes import Boxes
+from sgvf_drake.certificate.decrease import Decrease
+from sgvf_drake.certificate.division import Division
+from sgvf_drake.certificate.mixture_model import MixtureModel
+from sgvf_drake.certificate.statement import Conditions
+from sgvf_drake.certificate.topology import Shape, shape_of_band
+from sgvf_drake.fields import GaussianMixture, GuidingField
+from sgvf_drake.lyapunov import LyapunovFunction
+
+# Noise levels that are tried, in those of the field.
+RATIOS = (1.0, 1.4, 2.0, 2.8)
+# Random points of the tube at which it is looked where V' falls.
+NUM_POINTS = 20_000
+# A level at which V' does not fall is left out with this margin, and so many times.
+LEVEL_MARGIN, LEVEL_FLOOR = 0.05, 5e-4
+ATTEMPTS = 6
+
+
+def mixture_of(field: GuidingField, sigma: float) -> GaussianMixture:
+    """Returns the mixture of V at a noise level, in normalised units."""
+    return GaussianMixture(field.cloud.normalize(field.mixture.points), sigma)
+
+
+def lowest_of(mixture: GaussianMixture) -> float:
+    """Returns what makes the lowest V zero, but for rounding; see `MixtureModel`."""
+    at = mixture.points[:1]
+    free, _ = MixtureModel(mixture).level_range(Boxes(at, np.zeros(1)))
+    return float(free[0] - LyapunovFunction(mixture)(at)[0])
+
+
+def find_inner(
+    field: GuidingField,
+    outer: Conditions,
+    tube: Boxes,
+    half_width: float,
+    halves: tuple[float, float],
+    smallest: float,
+) -> tuple[Conditions, Shape, int] | None:
+    """Searches for the thinnest tube inside of one.
+
+    Args:
+        field: The field.
+        outer: The conditions of the first tube, which are proved.
+        tube: Squares that cover it.
+        half_width: Of the square in which everything is.
+        halves: Half-sides of the first squares, and of those of the covers.
+        smallest: Half-side of squares that are divided no more.
+
+    Returns:
+        What was proved, the shape of the inner tube, and over how many squares; None: nothing
+        was.
+    """
+    boxes = 0
+    for conditions in _proposals(field, outer, tube):
+        for _ in range(ATTEMPTS):
+            found = prove_inner(field, conditions, tube, half_width, halves, smallest)
+            if found is None:
+                break
+            falls, shape = found
+            boxes += falls.evaluated
+            if falls.proved and shape is not None:
+                return conditions, shape, boxes
+            level = _level_of_obstacle(field, conditions, falls)
+            conditions = replace(conditions, c_in=(1 + LEVEL_MARGIN) * level + LEVEL_FLOOR)
+            if level <= 0 or conditions.c_in >= conditions.c_out / 2:
+                break
+    return None
+
+
+def prove_inner(
+    field: GuidingField,
+    conditions: Conditions,
+    tube: Boxes,
+    half_width: float,
+    halves: tuple[float, float],
+    smallest: float,
+) -> tuple[Division, Shape | None] | None:
+    """Proves that V' falls from {V' <= c_out'}, which holds the tube, to c_in'.
+
+    Returns:
+        None where the set does not hold the tube, or is none inside of the square.
+    """
+    c = conditions
+    levels = MixtureModel(mixture_of(field, c.sigma), c.lowest)
+    basin = levels.squares_below(c.c_out, Boxes.square(half_width), halves[0])
+    if levels.level_range(tube)[1].max() > c.c_out:
+        return None
+    if np.abs(basin.centers).max() + halves[0] >= half_width:
+        return None
+    falls = Decrease(field, levels, c.c_in, c.c_out, c.alpha, c.share).prove(basin, smallest)
+    if not falls.proved:
+        return falls, None
+    return falls, shape_of_band(levels, c.c_in, c.c_out, half_width, halves[1])
+
+
+def _proposals(field: GuidingField, outer: Conditions, tube: Boxes) -> Iterator[Conditions]:
+    """Gives conditions, of the thinnest tube first, by samples."""
+    found = []
+    for ratio in RATIOS:
+        mixture = mixture_of(field, ratio * field.sigma)
+        levels = MixtureModel(mixture, lowest_of(mixture))
+        c_out = float(levels.level_range(tube)[1].max())
+        c_in = _lowest_level(field, levels, c_out, outer.alpha, tube)
+        if c_in < c_out / 2:
+            conditions = replace(
+                outer, sigma=mixture.sigma, lowest=levels.lowest, c_in=c_in, c_out=c_out
+            )
+            found.append((mixture.sigma * np.sqrt(c_in), conditions))
+    yield from (conditions for _, conditions in sorted(found, key=lambda pair: pair[0]))
+
+
+def _lowest_level(
+    field: GuidingField, levels: MixtureModel, c_out: float, alpha: float, tube: Boxes
+) -> float:
+    """Returns a level above which V' was seen to fall up to `c_out`."""
+    rng = np.random.default_rng(0)
+    chosen = rng.integers(len(tube), size=NUM_POINTS)
+    z = tube.centers[chosen] + tube.half[chosen, None] * rng.uniform(-1, 1, (NUM_POINTS, 2))
+    V = levels.level_range(Boxes(z, np.zeros(len(z))))[0]
+    V_dot = -(levels.mixture.score(z) * field(field.cloud.denormalize(z))).sum(axis=1)
+    rising = V[(c_out >= V) & (V_dot > -2 * alpha)]
+    return (1 + LEVEL_MARGIN) * float(rising.max(initial=0.0)) + LEVEL_FLOOR
+
+
+def _level_of_obstacle(field: GuidingField, conditions: Conditions, falls: Division) -> float:
+    """Returns V' where the proof ended."""
+    point: FloatArray | None = falls.counterexample
+    if point is None:
+        point = falls.undecided.centers[0] if len(falls.undecided) else np.zeros(2)
+    levels = MixtureModel(mixture_of(field, conditions.sigma), conditions.lowest)
+    return float(levels.level_range(Boxes(point[None], np.zeros(1)))[0][0])

@@ -1,0 +1,132 @@
+"""Derivatives over squares, uniqueness of the closed orbit, and bounds of the lap time."""
+
+from dataclasses import replace
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from sgvf_drake.certificate.boxes import Boxes
+from sgvf_drake.certificate.field_model import dual_field, has_dual
+from sgvf_drake.certificate.mixture_model import MixtureModel
+from sgvf_drake.certificate.orbits import Contraction, Turning
+from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.fields import GaussianMixture
+from sgvf_drake.fields.activation import find_activation
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def normalised(field, z):
+    m, J = field.value_and_jacobian(field.cloud.denormalize(z))
+    return m, J * field.cloud.unit_length
+
+
+@pytest.mark.parametrize("recipe", ["robust", "paper"])
+@settings(max_examples=40, deadline=None)
+@given(seed=seeds, exponent=st.integers(-16, -5))
+def test_derivatives_are_inside_of_their_models(make_field, recipe, seed, exponent):
+    """Held against the analytic Jacobian, which is right to rounding."""
+    rng = np.random.default_rng(seed)
+    field = make_field(recipe, seed=int(rng.integers(1000)))
+    boxes = Boxes(rng.uniform(-4, 4, (1, 2)), np.array([2.0**exponent]))
+    with np.errstate(over="ignore", invalid="ignore"):
+        models = dual_field(field, boxes)
+    d = boxes.half[0] * rng.uniform(-1, 1, (40, 2))
+    m, J = normalised(field, boxes.centers + d)
+    rounding = 1e-9 * (1 + np.abs(J).max())
+    parts = ((models.value, m), (models.slopes[0], J[..., 0]), (models.slopes[1], J[..., 1]))
+    for model, values in (*parts, (models.divergence, np.trace(J, 0, 1, 2)[:, None])):
+        if np.isfinite(model.remainder).all():
+            assert (values >= model.lower - rounding).all()
+            assert (values <= model.upper + rounding).all()
+
+
+def test_derivatives_become_tight_as_squares_become_small(make_field):
+    field = make_field("robust")
+    centers = np.random.default_rng(1).uniform(-4, 4, (50, 2))
+    J = normalised(field, centers)[1]
+    exact = np.trace(J, 0, 1, 2)
+    off = []
+    for half in (2.0**-9, 2.0**-12):
+        divergence = dual_field(field, Boxes(centers, np.full(50, half))).divergence
+        off.append(np.median(divergence.upper[:, 0] - exact))
+    assert off[1] < off[0] / 4
+
+
+def test_what_has_no_derivative_is_told(make_field):
+    exact, robust = make_field("exact"), make_field("robust")
+    kinked = replace(
+        robust,
+        tangent_network=replace(robust.tangent_network, activation=find_activation("ReLU")),
+    )
+    assert has_dual(robust)
+    for field in (exact, kinked):
+        assert not has_dual(field)
+        with pytest.raises(ConfigurationError, match="derivatives"):
+            dual_field(field, Boxes.square(0.5))
+
+
+@pytest.fixture(scope="module")
+def tube(robust_result):
+    """A trained field, V, a level whose tube has a ring about each piece, and its squares."""
+    field = robust_result.field
+    mixture = GaussianMixture(field.cloud.normalize(field.mixture.points), field.sigma)
+    levels = MixtureModel(mixture)
+    lowest = levels.level_range(Boxes(mixture.points, np.zeros(len(mixture.points))))[0].min()
+    levels = replace(levels, lowest=float(lowest))
+    return field, levels, 0.03
+
+
+def of_piece(boxes, radii):
+    distance = np.linalg.norm(boxes.centers, axis=1)
+    return boxes[(distance > radii[0]) & (distance < radii[1])]
+
+
+def test_a_ring_of_a_trained_field_has_one_orbit_with_a_lap_in_the_bounds(tube):
+    field, levels, c_in = tube
+    squares = of_piece(levels.squares_below(c_in, Boxes.square(8.0), 2.0**-6), (1.0, 3.0))
+    assert Contraction(field, levels, c_in).prove(squares, 2.0**-12).proved
+    question = Turning(field, levels, c_in, np.zeros(2), 1)
+    found = question.prove(squares, 2.0**-12)
+    assert found.proved
+    low, high = question.lap_time(found)
+    assert high < 1.5 * low
+
+    def turned(_, z):
+        return np.arctan2(z[1], z[0])
+
+    turned.direction = 1
+    run = solve_ivp(
+        lambda _, z: field(field.cloud.denormalize(z)),
+        (0, 60),
+        [2.0, 0.0],
+        events=turned,
+        rtol=1e-10,
+        atol=1e-12,
+    )
+    # The angle passes zero once a lap.
+    laps = np.diff(run.t_events[0])
+    assert len(laps) >= 3
+    assert low <= laps.min()
+    assert laps.max() <= high
+
+
+def test_a_lap_the_other_way_is_refused(tube):
+    field, levels, c_in = tube
+    squares = of_piece(levels.squares_below(c_in, Boxes.square(8.0), 2.0**-5), (1.0, 3.0))
+    question = Turning(field, levels, c_in, np.zeros(2), -1)
+    found = question.prove(squares, 2.0**-12)
+    assert not found.proved
+    assert question.speed_at(found.counterexample[None])[0] < 0
+
+
+def test_a_field_that_spreads_is_not_said_to_contract(tube, make_ring):
+    field, levels, c_in = tube
+    backward = replace(field, composition=replace(field.composition, gain=-1.0))
+    squares = of_piece(levels.squares_below(c_in, Boxes.square(8.0), 2.0**-5), (1.0, 3.0))
+    found = Contraction(backward, levels, c_in).prove(squares, 2.0**-10)
+    assert not found.proved
+    assert found.counterexample is not None
