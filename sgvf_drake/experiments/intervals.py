@@ -55,9 +55,15 @@ def fraction_interval(successes: int, trials: int) -> tuple[float, float, float]
 
 
 def interval_columns(
-    name: str, values: ArrayLike, within: tuple[float, float] = (-np.inf, np.inf)
+    name: str, values: ArrayLike, within: tuple[float, float] = POSITIVE
 ) -> Mapping[str, float]:
-    """Returns `interval` as three columns of a table: "NAME mean", "NAME low", "NAME high"."""
+    """Returns `interval` as three columns of a table: "NAME mean", "NAME low", "NAME high".
+
+    Args:
+        name: What the columns are called.
+        values: One a seed.
+        within: The range of the mean; what is in tables is seldom negative.
+    """
     return _columns(name, interval(values, within))
 
 

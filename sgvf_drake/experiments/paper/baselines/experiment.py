@@ -8,7 +8,7 @@ import pandas as pd
 
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments.figures.baselines import Panel, baselines_figure
-from sgvf_drake.experiments.intervals import POSITIVE, SHARE, interval, interval_columns
+from sgvf_drake.experiments.intervals import SHARE, interval, interval_columns
 from sgvf_drake.experiments.outcome import Exhibit, Outcome
 from sgvf_drake.experiments.paper.baselines.claims import HANDLED, baseline_claims
 from sgvf_drake.experiments.paper.baselines.methods import CASES, LEARNED, METHODS
@@ -146,9 +146,9 @@ def _table(case: str, rows: pd.DataFrame) -> pd.DataFrame:
                 "method": METHODS[str(method)].label,
                 **interval_columns("success", found["success"], SHARE),
                 "coverage": found["coverage"].mean(),
-                **interval_columns("RMS, U", found["rms_u"].astype(float), POSITIVE),
+                **interval_columns("RMS, U", found["rms_u"].astype(float)),
                 "max, U": found["max_u"].astype(float).max(),
-                **interval_columns("effort, 1/U", found["effort"].astype(float), POSITIVE),
+                **interval_columns("effort, 1/U", found["effort"].astype(float)),
                 "build, s": interval(found["build_s"])[0],
                 "point, µs": found["evaluation_us"].min(),
             }
