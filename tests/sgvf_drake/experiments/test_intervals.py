@@ -102,7 +102,11 @@ def test_columns_of_a_table_have_the_names_that_the_report_looks_for():
     values = [1.0, 2.0, 4.0]
     columns = interval_columns("RMS, U", values)
     assert list(columns) == ["RMS, U mean", "RMS, U low", "RMS, U high"]
-    assert tuple(columns.values()) == interval(values)
+    # A length: the interval of these three would begin below zero.
+    assert tuple(columns.values()) == interval(values, (0.0, math.inf))
+    assert columns["RMS, U low"] == 0.0
+    anywhere = interval_columns("z", values, (-math.inf, math.inf))
+    assert tuple(anywhere.values()) == interval(values)
     columns = fraction_columns("laps", [True, False, True])
     assert columns == dict(
         zip(("laps mean", "laps low", "laps high"), fraction_interval(2, 3), strict=True)
