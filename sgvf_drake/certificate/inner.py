@@ -6,8 +6,8 @@ path bends.  Which one shows the orbits best is tried; since every orbit of the 
 {V' <= c_out'}, it is in {V' <= c_in'} where V' is proved to fall in between.
 """
 
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,11 +15,11 @@ from sgvf_drake.arrays import FloatArray
 from sgvf_drake.certificate.boxes import Boxes
 from sgvf_drake.certificate.decrease import Decrease
 from sgvf_drake.certificate.division import Division
-from sgvf_drake.certificate.mixture_model import MixtureModel
+from sgvf_drake.certificate.mixture_model import MixtureModel, lowest_of, mixture_of
+from sgvf_drake.certificate.squares import HALF_WIDTH, Squares
 from sgvf_drake.certificate.statement import Conditions
 from sgvf_drake.certificate.topology import Shape, shape_of_band
-from sgvf_drake.fields import GaussianMixture, GuidingField
-from sgvf_drake.lyapunov import LyapunovFunction
+from sgvf_drake.fields import GuidingField
 
 # Noise levels that are tried, in those of the field.
 RATIOS = (1.0, 1.4, 2.0, 2.8)
@@ -30,50 +30,36 @@ LEVEL_MARGIN, LEVEL_FLOOR = 0.05, 5e-4
 ATTEMPTS = 6
 
 
-def mixture_of(field: GuidingField, sigma: float) -> GaussianMixture:
-    """Returns the mixture of V at a noise level, in normalised units."""
-    return GaussianMixture(field.cloud.normalize(field.mixture.points), sigma)
+@dataclass(frozen=True, eq=False)
+class Inner:
+    """A tube inside of another, proved.
+
+    Attributes:
+        conditions: V', and the band of its levels on which it falls.
+        shape: The components and holes of {V' <= c_in'}.
+        boxes: Over how many squares the field was bounded for it.
+    """
+
+    conditions: Conditions
+    shape: Shape
+    boxes: int
 
 
-def lowest_of(mixture: GaussianMixture) -> float:
-    """Returns what makes the lowest V zero, but for rounding; see `MixtureModel`."""
-    at = mixture.points[:1]
-    free, _ = MixtureModel(mixture).level_range(Boxes(at, np.zeros(1)))
-    return float(free[0] - LyapunovFunction(mixture)(at)[0])
-
-
-def find_inner(
-    field: GuidingField,
-    outer: Conditions,
-    tube: Boxes,
-    half_width: float,
-    halves: tuple[float, float],
-    smallest: float,
-) -> tuple[Conditions, Shape, int] | None:
+def find_inner(field: GuidingField, outer: Conditions, tube: Boxes) -> Inner | None:
     """Searches for the thinnest tube inside of one.
 
     Args:
         field: The field.
         outer: The conditions of the first tube, which are proved.
         tube: Squares that cover it.
-        half_width: Of the square in which everything is.
-        halves: Half-sides of the first squares, and of those of the covers.
-        smallest: Half-side of squares that are divided no more.
-
-    Returns:
-        What was proved, the shape of the inner tube, and over how many squares; None: nothing
-        was.
     """
     boxes = 0
     for conditions in _proposals(field, outer, tube):
         for _ in range(ATTEMPTS):
-            found = prove_inner(field, conditions, tube, half_width, halves, smallest)
-            if found is None:
-                break
-            falls, shape = found
+            falls, shape = _prove(field, conditions, tube)
             boxes += falls.evaluated
-            if falls.proved and shape is not None:
-                return conditions, shape, boxes
+            if shape is not None:
+                return Inner(conditions, shape, boxes)
             level = _level_of_obstacle(field, conditions, falls)
             conditions = replace(conditions, c_in=(1 + LEVEL_MARGIN) * level + LEVEL_FLOOR)
             if level <= 0 or conditions.c_in >= conditions.c_out / 2:
@@ -81,30 +67,35 @@ def find_inner(
     return None
 
 
-def prove_inner(
-    field: GuidingField,
-    conditions: Conditions,
-    tube: Boxes,
-    half_width: float,
-    halves: tuple[float, float],
-    smallest: float,
-) -> tuple[Division, Shape | None] | None:
-    """Proves that V' falls from {V' <= c_out'}, which holds the tube, to c_in'.
+def known_inner(
+    conditions: Conditions | None,
+) -> Callable[[GuidingField, Conditions, Boxes], Inner | None]:
+    """Returns what proves given conditions of an inner tube, in place of `find_inner`."""
 
-    Returns:
-        None where the set does not hold the tube, or is none inside of the square.
-    """
-    c = conditions
+    def find(field: GuidingField, outer: Conditions, tube: Boxes) -> Inner | None:
+        if conditions is None:
+            return None
+        falls, shape = _prove(field, conditions, tube)
+        return None if shape is None else Inner(conditions, shape, falls.evaluated)
+
+    return find
+
+
+def _prove(
+    field: GuidingField, conditions: Conditions, tube: Boxes
+) -> tuple[Division, Shape | None]:
+    """Proves that V' falls from {V' <= c_out'}, which has to hold the tube, to c_in'."""
+    c, squares = conditions, Squares.of(field)
     levels = MixtureModel(mixture_of(field, c.sigma), c.lowest)
-    basin = levels.squares_below(c.c_out, Boxes.square(half_width), halves[0])
-    if levels.level_range(tube)[1].max() > c.c_out:
-        return None
-    if np.abs(basin.centers).max() + halves[0] >= half_width:
-        return None
-    falls = Decrease(field, levels, c.c_in, c.c_out, c.alpha, c.share).prove(basin, smallest)
-    if not falls.proved:
+    basin = levels.squares_below(c.c_out, squares.everything, squares.ring)
+    falls = Decrease(field, levels, c.c_in, c.c_out, c.alpha, c.share).prove(
+        basin, squares.last
+    )
+    holds_tube = levels.level_range(tube)[1].max() <= c.c_out
+    is_inside = np.abs(basin.centers).max() + squares.ring < HALF_WIDTH
+    if not (falls.proved and holds_tube and is_inside):
         return falls, None
-    return falls, shape_of_band(levels, c.c_in, c.c_out, half_width, halves[1])
+    return falls, shape_of_band(levels, c.c_in, c.c_out, squares.thin)
 
 
 def _proposals(field: GuidingField, outer: Conditions, tube: Boxes) -> Iterator[Conditions]:

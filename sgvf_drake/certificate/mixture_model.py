@@ -18,7 +18,8 @@ from sgvf_drake.certificate.taylor_model import (
     UNIT,
     TaylorModel,
 )
-from sgvf_drake.fields import GaussianMixture
+from sgvf_drake.fields import GaussianMixture, GuidingField
+from sgvf_drake.lyapunov import LyapunovFunction
 
 # exp is zero in float64 below minus this.
 UNDERFLOW = 746.0
@@ -163,3 +164,15 @@ class MixtureModel:
         change = (fourth + 3 * first * square.sum(axis=1, keepdims=True)) / 6
         spread = (grown[:, None] @ size)[:, 0]
         return change, spread
+
+
+def mixture_of(field: GuidingField, sigma: float) -> GaussianMixture:
+    """Returns the mixture of V at a noise level, in normalised units."""
+    return GaussianMixture(field.cloud.normalize(field.mixture.points), sigma)
+
+
+def lowest_of(mixture: GaussianMixture) -> float:
+    """Returns what makes the lowest V zero, but for rounding; see `MixtureModel`."""
+    at = mixture.points[:1]
+    free, _ = MixtureModel(mixture).level_range(Boxes(at, np.zeros(1)))
+    return float(free[0] - LyapunovFunction(mixture)(at)[0])

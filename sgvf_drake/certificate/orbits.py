@@ -9,8 +9,7 @@ from sgvf_drake.certificate.boxes import Boxes
 from sgvf_drake.certificate.division import Answer, Division, divide
 from sgvf_drake.certificate.expansions import RECIPROCAL
 from sgvf_drake.certificate.field_model import dual_field, model_field
-from sgvf_drake.certificate.inner import mixture_of
-from sgvf_drake.certificate.mixture_model import MixtureModel
+from sgvf_drake.certificate.mixture_model import MixtureModel, mixture_of
 from sgvf_drake.certificate.statement import Conditions
 from sgvf_drake.certificate.taylor_model import SLACK, TaylorModel
 from sgvf_drake.certificate.topology import Shape

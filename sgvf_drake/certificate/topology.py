@@ -19,6 +19,7 @@ from scipy import ndimage
 from sgvf_drake.arrays import BoolArray, FloatArray, IntArray
 from sgvf_drake.certificate.boxes import Boxes
 from sgvf_drake.certificate.mixture_model import MixtureModel
+from sgvf_drake.certificate.squares import HALF_WIDTH
 
 # Closed squares that share a corner hang together; open ones between them do not.
 TOUCHING = np.ones((3, 3), bool)
@@ -100,18 +101,17 @@ class Shape:
         return np.asarray(self.labels[rows, columns])
 
 
-def cover(levels: MixtureModel, level: float, half_width: float, half: float) -> Cover:
+def cover(levels: MixtureModel, level: float, half: float) -> Cover:
     """Returns the squares of a grid around the origin on which V may be at most `level`.
 
     Args:
         levels: V.
         level: c.
-        half_width: Of the square that is covered; a power of two times `half`.
         half: Of the squares; a power of two.
     """
-    boxes = levels.squares_below(level, Boxes.square(half_width), half)
-    count = round(half_width / half)
-    lower = np.full(2, -half_width)
+    boxes = levels.squares_below(level, Boxes.square(HALF_WIDTH), half)
+    count = round(HALF_WIDTH / half)
+    lower = np.full(2, -HALF_WIDTH)
     inside = np.zeros((count, count), bool)
     found = Cover(inside, lower, 2 * half, float(levels.level_range(boxes)[1].max()))
     rows, columns = found.cells_of(boxes.centers).T
@@ -119,23 +119,20 @@ def cover(levels: MixtureModel, level: float, half_width: float, half: float) ->
     return found
 
 
-def shape_of_band(
-    levels: MixtureModel, c_in: float, c_out: float, half_width: float, half: float
-) -> Shape | None:
+def shape_of_band(levels: MixtureModel, c_in: float, c_out: float, half: float) -> Shape | None:
     """Returns the shape of {V <= c} for c in a band without critical values.
 
     Args:
         levels: V.
         c_in: The lowest level.
         c_out: The highest; V has no critical value from one to the other.
-        half_width: Of a square that holds {V <= c_out}; a power of two times `half`.
         half: Of the squares of the covers; a power of two.
 
     Returns:
         None where the squares are too large for the band.
     """
-    inner = cover(levels, c_in, half_width, half)
-    outer = cover(levels, inner.highest, half_width, half)
+    inner = cover(levels, c_in, half)
+    outer = cover(levels, inner.highest, half)
     if outer.highest > c_out:
         return None
     labels, count = ndimage.label(outer.inside, TOUCHING)

@@ -36,7 +36,7 @@ SHAPES = {
 def test_shapes_are_counted(name):
     pieces, holes = SHAPES[name]
     levels = levels_of(np.concatenate(pieces))
-    found = shape_of_band(levels, 1.0, 4.0, 4.0, 2.0**-6)
+    found = shape_of_band(levels, 1.0, 4.0, 2.0**-6)
     assert tuple(sorted(found.holes)) == holes
     assert found.components == len(holes)
     components = [set(found.component_of(piece)) for piece in pieces]
@@ -47,7 +47,7 @@ def test_shapes_are_counted(name):
 
 def test_squares_that_are_too_large_for_the_band_say_nothing():
     levels = levels_of(circle(2.0))
-    assert shape_of_band(levels, 1.0, 1.2, 4.0, 2.0**-2) is None
+    assert shape_of_band(levels, 1.0, 1.2, 2.0**-2) is None
 
 
 def test_a_gap_below_the_level_opens_the_ring():
@@ -56,15 +56,15 @@ def test_a_gap_below_the_level_opens_the_ring():
     levels = levels_of(points, sigma=0.08)
     ends = Boxes(circle(2.0)[1:2], np.zeros(1))
     gap = float(levels.level_range(ends)[0][0])
-    open_ring = shape_of_band(levels, 0.3, gap / 2, 4.0, 2.0**-7)
+    open_ring = shape_of_band(levels, 0.3, gap / 2, 2.0**-7)
     assert open_ring.holes == (0,)
-    closed_ring = shape_of_band(levels, 2 * gap, 3 * gap, 4.0, 2.0**-7)
+    closed_ring = shape_of_band(levels, 2 * gap, 3 * gap, 2.0**-7)
     assert closed_ring.holes == (1,)
 
 
 def test_a_cover_holds_the_set_and_not_much_more():
     levels = levels_of(circle(2.0))
-    found = cover(levels, 2.0, 4.0, 2.0**-5)
+    found = cover(levels, 2.0, 2.0**-5)
     x = np.random.default_rng(0).uniform(-4, 4, (20_000, 2))
     V = levels.level_range(Boxes(x, np.zeros(len(x))))[0]
     rows, columns = found.cells_of(x).T

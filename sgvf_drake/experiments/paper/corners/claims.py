@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import spearmanr
 
-from sgvf_drake.experiments.intervals import interval
+from sgvf_drake.experiments.intervals import SHARE, interval
 from sgvf_drake.experiments.outcome import Claim, Verdict
 
 SECTION = "Section VI-B"
@@ -39,7 +39,7 @@ def corner_claims(table: pd.DataFrame, tangent_at_traps: Sequence[float]) -> lis
 
 
 def _stall_claim(square: pd.DataFrame) -> Claim:
-    stalled, near = interval(square["stalled_near"]), interval(square["near"])
+    stalled, near = interval(square["stalled_near"], SHARE), interval(square["near"], SHARE)
     even = float(square["even"].iloc[0])
     verdict = Verdict.PARTLY if stalled[0] > 0 else Verdict.FAILS
     # The interval of a single value, NaN, shows nothing.
@@ -60,15 +60,16 @@ def _stall_claim(square: pd.DataFrame) -> Claim:
 
 def _hexagon_claim(square: pd.DataFrame, hexagon: pd.DataFrame) -> Claim:
     pairs = square.merge(hexagon, on="seed", suffixes=("", "_hexagon"))
-    less = interval(pairs["stalled_near"] - pairs["stalled_near_hexagon"])
+    less = interval(pairs["stalled_near"] - pairs["stalled_near_hexagon"], (-1.0, 1.0))
+    near, there = (interval(rows["stalled_near"], SHARE) for rows in (square, hexagon))
     verdict = Verdict.HOLDS if less[1] > 0 else Verdict.FAILS
     return Claim(
         "corners-hexagon-less",
         f"{SECTION}, Fig. 6 (b)",
         "With a shallow network the corners of a hexagon trap less than those of a square.",
         verdict,
-        f"{_share(interval(square['stalled_near']))} of the starts stall near a corner of the "
-        f"square, {_share(interval(hexagon['stalled_near']))} near one of the hexagon; the "
+        f"{_share(near)} of the starts stall near a corner of the "
+        f"square, {_share(there)} near one of the hexagon; the "
         f"difference is {_share(less)}. A trap is near {square['trapped'].mean():.0%} of the "
         f"corners of the square and {hexagon['trapped'].mean():.0%} of the hexagon's.",
     )

@@ -1,0 +1,132 @@
+"""From a field to its certificate: samples propose the levels, bounds over squares prove."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from sgvf_drake.arrays import FloatArray
+from sgvf_drake.certificate.boxes import Boxes
+from sgvf_drake.certificate.field_model import model_field
+from sgvf_drake.certificate.inner import find_inner, known_inner
+from sgvf_drake.certificate.mixture_model import lowest_of, mixture_of
+from sgvf_drake.certificate.proof import failed, prove
+from sgvf_drake.certificate.squares import Squares
+from sgvf_drake.certificate.statement import Certificate, Conditions
+from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.fields import GuidingField
+from sgvf_drake.fields.storage import field_digest
+from sgvf_drake.lyapunov import (
+    LyapunovFunction,
+    find_guiding_zeros,
+    learned_path,
+    search_band,
+    take_samples,
+)
+from sgvf_drake.paths import Reference
+from sgvf_drake.progress import Progress, no_progress
+
+# What is to be proved: V falls by more than this in every normalised unit of length, and m is
+# at least so fast in the tube; and how sharp the bounds are to be.
+ALPHA, DELTA, SHARE = 0.01, 0.05, 0.5
+# A level at which V does not fall is left out of the band with this margin, so many times.
+LEVEL_MARGIN, LEVEL_FLOOR = 0.03, 0.005
+ATTEMPTS = 12
+# A band on which V changes by less is none.
+MIN_BAND = 0.1
+
+
+def certify(
+    field: GuidingField, reference: Reference | None = None, *, progress: Progress = no_progress
+) -> Certificate:
+    """Proves that robots follow a planar field along its path, or says what is in the way.
+
+    Args:
+        field: The field.
+        reference: The path, for its pieces and the width of the tube; None: `learned_path`.
+        progress: Told how far it is.
+
+    Raises:
+        ConfigurationError: The field is not planar, or is of a kind that nothing bounds.
+    """
+    if field.dim != 2:
+        raise ConfigurationError(f"only planar fields are certified, not one of {field.dim}-D")
+    # What nothing bounds is told before the search.
+    model_field(field, Boxes.square(Squares.of(field).cover))
+    reference = learned_path(field) if reference is None else reference
+    samples = take_samples(field)
+    stops = find_guiding_zeros(field).points
+    band = search_band(field, samples, reference, stops=stops, progress=progress)
+    if band is None:
+        return _without_band(field, reference, stops)
+    sigma = band.function.sigma / field.cloud.unit_length
+    lowest = lowest_of(mixture_of(field, sigma))
+    proposed = Conditions(sigma, lowest, band.c_in, band.c_out, ALPHA, DELTA, SHARE)
+    return _prove_narrowing(field, proposed, reference, progress)
+
+
+def check(
+    certificate: Certificate, field: GuidingField, reference: Reference | None = None
+) -> Certificate:
+    """Proves a certificate anew, without the search.
+
+    Returns:
+        What was proved; it is certified where it is as strong as what was claimed.
+
+    Raises:
+        ConfigurationError: The certificate is that of another field, or of nothing.
+    """
+    if certificate.field_digest != field_digest(field):
+        raise ConfigurationError("the certificate is that of another field")
+    if certificate.conditions is None or not certificate.certified:
+        raise ConfigurationError("the certificate certifies nothing")
+    reference = learned_path(field) if reference is None else reference
+    known = known_inner(certificate.inner)
+    found = prove(field, certificate.conditions, reference, known).certificate
+    if not found.is_as_strong_as(certificate):
+        return found.refused("what is claimed is not what is proved")
+    return found
+
+
+def _prove_narrowing(
+    field: GuidingField, conditions: Conditions, reference: Reference, progress: Progress
+) -> Certificate:
+    """Proves conditions on the band that is left where V was found not to fall."""
+    function = LyapunovFunction(mixture_of(field, conditions.sigma))
+    boxes = 0
+    for number in range(ATTEMPTS):
+        attempt = prove(field, conditions, reference, find_inner)
+        boxes += attempt.certificate.boxes
+        progress("prove", number + 1, ATTEMPTS)
+        if attempt.obstacle is None:
+            break
+        narrowed = _narrowed(conditions, float(function(attempt.obstacle[None])[0]))
+        if narrowed is None:
+            break
+        conditions = narrowed
+    progress("prove", ATTEMPTS, ATTEMPTS)
+    return replace(attempt.certificate, boxes=boxes)
+
+
+def _narrowed(conditions: Conditions, level: float) -> Conditions | None:
+    """Returns conditions whose band leaves a level out; None: nothing is left of it."""
+    c_in, c_out = conditions.c_in, conditions.c_out
+    if level < c_in:
+        # Of the tube, in which m has to move: a higher tube holds the place too.
+        return None
+    if level**2 < c_in * c_out:
+        c_in = (1 + LEVEL_MARGIN) * level + LEVEL_FLOOR
+    else:
+        c_out = (1 - LEVEL_MARGIN) * level
+    if c_out - c_in < MIN_BAND:
+        return None
+    return replace(conditions, c_in=c_in, c_out=c_out)
+
+
+def _without_band(field: GuidingField, reference: Reference, stops: FloatArray) -> Certificate:
+    """Returns what samples say where they show no band: a zero of m on the path, if any."""
+    reason = "V falls on no band of levels with a tube about each piece, by samples"
+    if not len(stops):
+        return failed(field, None, reason)
+    x, y = stops[np.argmin(reference.project(stops).distance)].tolist()
+    reason += f"; m vanishes at ({x:.4g}, {y:.4g})"
+    return failed(field, None, reason, counterexample=(x, y))
