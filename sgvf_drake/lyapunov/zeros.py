@@ -27,7 +27,7 @@ from sgvf_drake.lyapunov.undecided import Cluster, cluster_of, flat_cells
 FIRST_CELL = 1.0
 # The scale where none is given, and the side of the smallest cells, in sides of the box.
 DEFAULT_SCALE = 1 / 64
-SMALLEST_CELL = 2.0**-26
+SMALLEST_CELL = 2.0**-30
 # Where the box is small and far from the origin, cells are at least so many times the distance
 # between neighbouring numbers.
 SPACINGS = 1_000

@@ -16,8 +16,8 @@ from sgvf_drake.experiments.measured_code import (
 )
 
 PACKAGE = Path(sgvf_drake.__file__).parent
-PAPER = sorted(Path(paper.__file__).parent.glob("*.py"))
-TRIALS = [path for path in PAPER if path.stem.endswith("_trials")]
+PAPER = sorted(Path(paper.__file__).parent.rglob("*.py"))
+TRIALS = [path for path in PAPER if path.stem == "trials"]
 
 
 def forget():
