@@ -9,6 +9,8 @@ from scipy.integrate import solve_ivp
 
 from sgvf_drake import certify
 from sgvf_drake.certificate import Certificate, check
+from sgvf_drake.certificate.inner import known_inner
+from sgvf_drake.certificate.proof import prove
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import GaussianMixture
 from sgvf_drake.lyapunov import LyapunovFunction
@@ -80,7 +82,7 @@ def test_two_rings_have_an_orbit_each(make_ring):
 def test_the_unit_of_the_waypoints_does_not_matter(make_ring, ring):
     _, _, own = ring
     field, path = make_ring(4.0, scale=1000.0)
-    found = certify(field, path)
+    found = prove(field, own.conditions, path, known_inner(own.inner)).certificate
     assert found.certified
     for name in ("sigma", "tube_half_width", "entry_time_bound", "step_bound"):
         assert getattr(found, name) == pytest.approx(1000 * getattr(own, name), rel=1e-6)
@@ -122,11 +124,17 @@ def test_what_is_claimed_can_be_checked(ring, tmp_path):
     ("name", "claim"),
     [("alpha", 2.0), ("e_star", 2.0), ("tube_half_width", 0.5), ("entry_time_bound", 0.9)],
 )
-def test_a_stronger_claim_than_the_proof_is_refused(ring, name, claim):
-    field, path, certificate = ring
-    value = getattr(certificate, name)
+def test_a_stronger_claim_is_told(ring, name, claim):
+    value = getattr(ring[2], name)
     stronger = tuple(claim * v for v in value) if name == "e_star" else claim * value
-    found = check(replace(certificate, **{name: stronger}), field, path)
+    claimed = replace(ring[2], **{name: stronger})
+    assert not ring[2].is_as_strong_as(claimed)
+    assert claimed.is_as_strong_as(ring[2])
+
+
+def test_a_stronger_claim_than_the_proof_is_refused(ring):
+    field, path, certificate = ring
+    found = check(replace(certificate, alpha=2 * certificate.alpha), field, path)
     assert not found.certified
     assert "not what is proved" in found.reason
 
