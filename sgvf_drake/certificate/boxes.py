@@ -41,10 +41,3 @@ class Boxes:
     def square(cls, half: float) -> "Boxes":
         """Returns the one square around the origin of a half-side."""
         return cls(np.zeros((1, 2)), np.array([half]))
-
-    def divided(self, half: float) -> "Boxes":
-        """Returns the parts of squares of one size, of a half-side that halving leads to."""
-        boxes = self
-        while len(boxes) and boxes.half[0] > half:
-            boxes = boxes.quarters()
-        return boxes

@@ -1,7 +1,7 @@
 """Functions of one variable with bounds of what their tangents leave.
 
 The library's elementary functions are taken to be right within `LIBRARY` units of roundoff,
-relative to their value; NumPy tests its own to half of that.
+relative to their value.  This is assumed; the tests hold what follows against ball arithmetic.
 """
 
 from collections.abc import Callable, Mapping
@@ -47,10 +47,8 @@ class Smooth:
         """Returns the expansion; see `Univariate`."""
         value, slope, curvature = self.jet(u)
         reach = np.maximum(high - u, u - low)
-        # By Taylor's theorem with the third derivative, or by what the second can be.
-        bend = np.maximum(np.abs(curvature - self.least), np.abs(self.most - curvature))
-        rest = np.minimum(self.third * np.maximum(reach, TINY) / 3, bend) * reach**2 / 2
-        error = FORMULA * (1 + np.abs(u)) if self.growth else FORMULA
+        rest = self._bend(curvature, reach / 3) * reach**2 / 2
+        error = self._error(u)
         rounding = error * (1 + reach + reach**2 / 2)
         return Expansion(value, slope, curvature, (1 + FORMULA) * rest + rounding + TINY)
 
@@ -58,12 +56,19 @@ class Smooth:
         """Returns the expansion of the derivative; see `Differentiable`."""
         _, slope, curvature = self.jet(u)
         reach = np.maximum(high - u, u - low)
-        bend = np.maximum(np.abs(curvature - self.least), np.abs(self.most - curvature))
-        rest = np.minimum(self.third * np.maximum(reach, TINY) / 2, bend) * reach
-        error = FORMULA * (1 + np.abs(u)) if self.growth else FORMULA
-        rounding = error * (1 + reach)
+        rest = self._bend(curvature, reach / 2) * reach
+        rounding = self._error(u) * (1 + reach)
         zero = np.zeros_like(u)
         return Expansion(slope, curvature, zero, (1 + FORMULA) * rest + rounding + TINY)
+
+    def _bend(self, curvature: FloatArray, reach: FloatArray) -> FloatArray:
+        """What the second derivative changes by over a reach, or can be off by anywhere."""
+        anywhere = np.maximum(np.abs(curvature - self.least), np.abs(self.most - curvature))
+        return np.minimum(self.third * np.maximum(reach, TINY), anywhere)
+
+    def _error(self, u: FloatArray) -> FloatArray | float:
+        """What rounding changes each number of the jet by."""
+        return FORMULA * (1 + np.abs(u)) if self.growth else FORMULA
 
 
 def _silu(u: FloatArray) -> Jet:
@@ -193,25 +198,28 @@ class Convex:
         """Returns the expansion; see `Univariate`."""
         value, slope = self.value_and_slope(u)
         reach = np.maximum(high - u, u - low)
-        most, least = self.curvature(low)[1], self.curvature(high)[0]
-        here = self.curvature(u)
-        curvature = (here[0] + here[1]) / 2
-        bend = np.maximum(most - curvature, curvature - least)
+        curvature, bend = self._bend(u, low, high)
         rounding = FORMULA * (1 + u) * (np.abs(value) + np.abs(slope) * reach)
-        rest = (1 + FORMULA) * reach**2 / 2 * (bend + FORMULA * most)
+        rest = (1 + FORMULA) * reach**2 / 2 * bend
         return Expansion(value, slope, curvature, rest + rounding + TINY)
 
     def expand_slope(self, u: FloatArray, low: FloatArray, high: FloatArray) -> Expansion:
         """Returns the expansion of the derivative; see `Differentiable`."""
         _, slope = self.value_and_slope(u)
         reach = np.maximum(high - u, u - low)
+        curvature, bend = self._bend(u, low, high)
+        rest = (1 + FORMULA) * reach * bend
+        rounding = FORMULA * (1 + u) * np.abs(slope)
+        return Expansion(slope, curvature, np.zeros_like(u), rest + rounding + TINY)
+
+    def _bend(
+        self, u: FloatArray, low: FloatArray, high: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Returns the second derivative at u, and how far it is from that on [low, high]."""
         most, least = self.curvature(low)[1], self.curvature(high)[0]
         here = self.curvature(u)
         curvature = (here[0] + here[1]) / 2
-        bend = np.maximum(most - curvature, curvature - least)
-        rest = (1 + FORMULA) * reach * (bend + FORMULA * most)
-        rounding = FORMULA * (1 + u) * np.abs(slope)
-        return Expansion(slope, curvature, np.zeros_like(u), rest + rounding + TINY)
+        return curvature, np.maximum(most - curvature, curvature - least) + FORMULA * most
 
 
 # Below the first, u^(-5/2) could overflow; below the second, a bound by formula cancels.

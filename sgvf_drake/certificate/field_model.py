@@ -55,16 +55,13 @@ def model_score(score: ScoreNetwork | GaussianMixture, boxes: Boxes) -> TaylorMo
 
 def has_dual(field: GuidingField) -> bool:
     """Whether `dual_field` bounds the derivatives of a field."""
-    score = field.score_model
-    networks = [
-        field.tangent_network,
-        *([score.network] if isinstance(score, ScoreNetwork) else []),
-    ]
-    smooth = all(
+    if len(field.ends) or not isinstance(field.score_model, ScoreNetwork):
+        return False
+    networks = (field.tangent_network, field.score_model.network)
+    return all(
         isinstance(find_expansion(network.activation.name), Differentiable)
         for network in networks
     )
-    return len(networks) == 2 and smooth and not len(field.ends)
 
 
 def dual_field(field: GuidingField, boxes: Boxes) -> DualModel:

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sgvf_drake.arrays import FloatArray
 from sgvf_drake.certificate.boxes import Boxes
 from sgvf_drake.certificate.decrease import Decrease
 from sgvf_drake.certificate.division import Division
@@ -61,9 +60,10 @@ def find_inner(field: GuidingField, outer: Conditions, tube: Boxes) -> Inner | N
             if shape is not None:
                 return Inner(conditions, shape, boxes)
             level = _level_of_obstacle(field, conditions, falls)
-            conditions = replace(conditions, c_in=(1 + LEVEL_MARGIN) * level + LEVEL_FLOOR)
-            if level <= 0 or conditions.c_in >= conditions.c_out / 2:
+            c_in = conditions.c_out if level is None else _above(level)
+            if c_in >= conditions.c_out / 2:
                 break
+            conditions = replace(conditions, c_in=c_in)
     return None
 
 
@@ -124,13 +124,22 @@ def _lowest_level(
     V = levels.level_range(Boxes(z, np.zeros(len(z))))[0]
     V_dot = -(levels.mixture.score(z) * field(field.cloud.denormalize(z))).sum(axis=1)
     rising = V[(c_out >= V) & (V_dot > -2 * alpha)]
-    return (1 + LEVEL_MARGIN) * float(rising.max(initial=0.0)) + LEVEL_FLOOR
+    return _above(float(rising.max(initial=0.0)))
 
 
-def _level_of_obstacle(field: GuidingField, conditions: Conditions, falls: Division) -> float:
-    """Returns V' where the proof ended."""
-    point: FloatArray | None = falls.counterexample
+def _above(level: float) -> float:
+    """Returns a level that leaves out one at which V' does not fall."""
+    return (1 + LEVEL_MARGIN) * level + LEVEL_FLOOR
+
+
+def _level_of_obstacle(
+    field: GuidingField, conditions: Conditions, falls: Division
+) -> float | None:
+    """Returns V' where the proof ended; None: not because V' does not fall."""
+    if falls.proved:
+        return None
+    point = falls.counterexample
     if point is None:
-        point = falls.undecided.centers[0] if len(falls.undecided) else np.zeros(2)
+        point = falls.undecided.centers[0]
     levels = MixtureModel(mixture_of(field, conditions.sigma), conditions.lowest)
     return float(levels.level_range(Boxes(point[None], np.zeros(1)))[0][0])

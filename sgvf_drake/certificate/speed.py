@@ -12,8 +12,8 @@ from sgvf_drake.certificate.mixture_model import MixtureModel
 from sgvf_drake.certificate.taylor_model import SLACK
 from sgvf_drake.fields import GuidingField
 
-LOW, HIGH, SPEED = range(3)
-"""Columns of the facts of a square: bounds of V, and a bound of |m| from below."""
+SPEED = 0
+"""The only column of the facts of a square: a bound of |m| from below."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,9 +40,8 @@ class Speed:
         return divide(boxes, self._ask, self._refute, smallest)
 
     def _ask(self, boxes: Boxes) -> Answer:
-        facts = np.full((len(boxes), 3), np.nan)
-        facts[:, LOW], facts[:, HIGH] = self.levels.level_range(boxes)
-        inside = facts[:, LOW] <= self.c_in
+        facts = np.full((len(boxes), 1), np.nan)
+        inside = self.levels.level_range(boxes)[0] <= self.c_in
         with np.errstate(over="ignore", invalid="ignore"):
             m = model_field(self.field, boxes[inside])
             # By the direction of m at the centre; a direction need not be exactly of length

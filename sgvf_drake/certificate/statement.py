@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.fields.storage import write_whole
 
 FORMAT = "sgvf_drake.certificate"
 VERSION = 1
@@ -30,6 +31,10 @@ class Conditions:
         delta: The speed.
         share: The part of V_dot and |m| that their bounds keep on every square; how sharp
             what follows is, not what is true.
+
+    Raises:
+        ConfigurationError: One is no number, or out of its range: with a rate or a speed of
+            zero, or an empty band, the conditions would hold and say nothing.
     """
 
     sigma: float
@@ -39,6 +44,17 @@ class Conditions:
     alpha: float
     delta: float
     share: float
+
+    def __post_init__(self) -> None:
+        for name, value in asdict(self).items():
+            if not isinstance(value, (int, float)) or not math.isfinite(value):
+                raise ConfigurationError(f"{name} must be a number, not {value!r}")
+        positive = min(self.sigma, self.c_in, self.alpha, self.delta)
+        if not (positive > 0 and self.c_in < self.c_out and 0 <= self.share < 1):
+            raise ConfigurationError(
+                "sigma, c_in, alpha and delta must be above zero, c_out above c_in, and share "
+                f"from 0 to below 1, not {asdict(self)}"
+            )
 
 
 @dataclass(frozen=True)
@@ -123,12 +139,14 @@ class Certificate:
         """The largest of `e_star`."""
         return max(self.e_star, default=None)
 
-    def save(self, path: str | Path) -> None:
-        """Writes the certificate as JSON, whole or not at all."""
-        path = Path(path)
-        temporary = path.with_name(f".{path.name}.partial")
-        temporary.write_text(self.to_json(), encoding="utf-8")
-        temporary.replace(path)
+    def save(self, path: str | Path, *, overwrite: bool = False) -> None:
+        """Writes the certificate as JSON, whole or not at all.
+
+        Raises:
+            OutputExistsError: The file exists and `overwrite` is false.
+            OSError: The folder does not exist or cannot be written.
+        """
+        write_whole(Path(path), self.to_json().encode(), overwrite=overwrite)
 
     def to_json(self) -> str:
         """Returns the text of the file; its digest is that of all of the rest."""
@@ -206,11 +224,14 @@ class Certificate:
         at_most = ("tube_half_width", "orbit_half_width", "entry_time_bound")
         pairs = [(getattr(self, name), getattr(other, name)) for name in at_least]
         pairs += [(getattr(other, name), getattr(self, name)) for name in at_most]
-        pairs += list(zip(self.e_star, other.e_star, strict=False))
+        pairs += [(self.sigma, other.sigma), (other.sigma, self.sigma)]
+        if self.levels != other.levels or len(self.e_star) != len(other.e_star):
+            return False
+        pairs += zip(self.e_star, other.e_star, strict=True)
         for here, there in zip(self.pieces, other.pieces, strict=True):
             pairs.append((here.lap_time_low, there.lap_time_low))
             pairs.append((there.lap_time_high, here.lap_time_high))
-        return self.levels == other.levels and all(
+        return all(
             (a is None) == (b is None) and (a is None or a >= b - tolerance * math.fabs(b))
             for a, b in pairs
         )

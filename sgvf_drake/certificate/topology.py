@@ -51,7 +51,6 @@ class Shape:
     """What is known of the sublevel sets of a band.
 
     Attributes:
-        components: The number of their components.
         holes: Of each component, in the order of `labels`.
         labels: (k, k) the components by their numbers, from 1, on the outer cover's raster;
             0 outside.

@@ -61,10 +61,13 @@ def save_field(
         OutputExistsError: The file exists and `overwrite` is false.
         OSError: The folder does not exist or cannot be written.
     """
-    path = Path(path)
+    write_whole(Path(path), _file_of(field), overwrite=overwrite)
+
+
+def write_whole(path: Path, data: bytes, *, overwrite: bool) -> None:
+    """Writes a file, whole or not at all; see `save_field`."""
     if path.exists() and not overwrite:
         raise OutputExistsError(f"{path} exists; pass overwrite=True to replace it")
-    data = _file_of(field)
     # In the folder of the target, so that the last step is an atomic rename.
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:

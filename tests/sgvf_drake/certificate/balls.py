@@ -72,6 +72,13 @@ def derivative(function, order, z):
     return coefficients[order] * arb(order).fac()
 
 
+def divided(boxes, half):
+    """The parts of squares of one size, of a half-side that halving leads to."""
+    while boxes.half[0] > half:
+        boxes = boxes.quarters()
+    return boxes
+
+
 def vector(values):
     return [arb(float(value)) for value in np.asarray(values)]
 

@@ -11,7 +11,7 @@ from sgvf_drake import certify
 from sgvf_drake.certificate import Certificate, check
 from sgvf_drake.certificate.inner import known_inner
 from sgvf_drake.certificate.proof import prove
-from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.exceptions import ConfigurationError, OutputExistsError
 from sgvf_drake.fields import GaussianMixture
 from sgvf_drake.lyapunov import LyapunovFunction
 from sgvf_drake.metrics import grid_starts
@@ -115,6 +115,10 @@ def test_what_is_claimed_can_be_checked(ring, tmp_path):
     field, path, certificate = ring
     file = tmp_path / "certificate.json"
     certificate.save(file)
+    with pytest.raises(OutputExistsError):
+        certificate.save(file)
+    certificate.save(file, overwrite=True)
+    assert [path.name for path in tmp_path.iterdir()] == ["certificate.json"]
     loaded = Certificate.load(file)
     assert loaded == certificate
     assert check(loaded, field, path).certified
@@ -130,6 +134,26 @@ def test_a_stronger_claim_is_told(ring, name, claim):
     claimed = replace(ring[2], **{name: stronger})
     assert not ring[2].is_as_strong_as(claimed)
     assert claimed.is_as_strong_as(ring[2])
+
+
+def test_a_claim_of_more_levels_is_told(ring):
+    own = ring[2]
+    assert not own.is_as_strong_as(replace(own, e_star=(*own.e_star, 0.9)))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        *({"alpha": 0.0}, {"alpha": -5.0}, {"delta": 0.0}, {"sigma": 0.0}, {"c_in": 0.0}),
+        *({"c_out": 0.0}, {"share": 1.0}, {"share": -0.1}),
+        *({"c_out": float("inf")}, {"lowest": float("nan")}, {"sigma": "0.1"}, {"alpha": None}),
+    ],
+    ids=str,
+)
+def test_conditions_that_would_say_nothing_are_refused(ring, change):
+    """With a speed of zero or an empty band a zero on the path would be no obstacle."""
+    with pytest.raises(ConfigurationError, match=next(iter(change))):
+        replace(ring[2].conditions, **change)
 
 
 def test_a_stronger_claim_than_the_proof_is_refused(ring):

@@ -14,7 +14,9 @@ from sgvf_drake.certificate.speed import Speed
 from sgvf_drake.fields import GaussianMixture, Perceptron
 from sgvf_drake.lyapunov import LyapunovFunction
 
-START = Boxes.square(8.0).divided(2.0**-4)
+from .balls import divided
+
+START = divided(Boxes.square(8.0), 2.0**-4)
 SMALLEST = 2.0**-12
 
 
@@ -108,7 +110,7 @@ def test_what_cannot_be_decided_is_kept():
     def refute(points):
         return np.zeros(len(points), bool)
 
-    found = divide(Boxes.square(1.0).divided(0.5), ask, refute, 2.0**-6)
+    found = divide(divided(Boxes.square(1.0), 0.5), ask, refute, 2.0**-6)
     assert not found.proved
     assert found.counterexample is None
     assert len(found.undecided) == 1

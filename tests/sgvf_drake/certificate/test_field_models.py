@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from flint import arb
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
@@ -94,8 +94,8 @@ def test_a_field_is_inside_of_its_model(make_field, recipe, seed, exponent, norm
     boxes = one_box(rng, half)
     with np.errstate(over="ignore", invalid="ignore"):
         model = model_field(field, boxes)
-    if not np.isfinite(model.remainder).all():
-        return
+    # On squares that are too large to say anything, the model says so.
+    assume(np.isfinite(model.remainder).all())
     for d in steps(rng, half, count=1):
         assert_inside(model, d, field_at(field, at(boxes, d)))
 
@@ -126,4 +126,4 @@ def test_bounds_become_tight_as_squares_become_small(make_field):
 
 def test_a_field_with_terminal_ends_is_not_bounded(make_field):
     with pytest.raises(ConfigurationError, match="terminal ends"):
-        model_field(make_field("robust", ends=1), Boxes.square(1.0).divided(0.5))
+        model_field(make_field("robust", ends=1), Boxes.square(0.5))

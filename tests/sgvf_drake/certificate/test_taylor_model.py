@@ -14,7 +14,7 @@ from sgvf_drake.certificate.boxes import Boxes
 from sgvf_drake.certificate.expansions import FALL, INVERSE_ROOT, SECH_OF_ROOT, SINE, SQUASH
 from sgvf_drake.certificate.taylor_model import TaylorModel, concatenate
 
-from .balls import FUNCTIONS, OF_A_SQUARE, model_at
+from .balls import FUNCTIONS, OF_A_SQUARE, divided, model_at
 
 scales = st.integers(-12, 6).map(lambda exponent: 10.0**exponent)
 seeds = st.integers(0, 2**32 - 1)
@@ -142,7 +142,7 @@ def test_functions_are_put_one_after_another():
 
 
 def test_quarters_cover_their_square_exactly():
-    boxes = Boxes.square(4.0).divided(0.125)
+    boxes = divided(Boxes.square(4.0), 0.125)
     assert len(boxes) == 32**2
     assert set(boxes.half) == {0.125}
     # In binary fractions all of this is exact.
