@@ -8,7 +8,7 @@ from sgvf_drake.arrays import FloatArray
 from sgvf_drake.certificate.boxes import Boxes
 from sgvf_drake.certificate.decrease import HIGH, LOW, MARGIN, RATE, STEP
 from sgvf_drake.certificate.division import Division
-from sgvf_drake.certificate.taylor_model import SLACK
+from sgvf_drake.certificate.kernels import SLACK
 from sgvf_drake.certificate.topology import Shape
 from sgvf_drake.fields import GuidingField
 from sgvf_drake.paths import Reference, ReferencePath, TreeReference

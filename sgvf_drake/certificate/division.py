@@ -8,9 +8,8 @@ import numpy as np
 from sgvf_drake.arrays import BoolArray, FloatArray
 from sgvf_drake.certificate.boxes import Boxes
 
-CHUNK = 96
-"""Squares that are asked about at once: what a network makes of them stays in the cache, and
-rows are no power of two apart, which would make them fall on each other there."""
+CHUNK = 1000
+"""Squares that are asked about at once."""
 
 
 @dataclass(frozen=True, eq=False)

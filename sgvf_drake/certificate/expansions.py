@@ -12,7 +12,9 @@ import numpy as np
 from scipy.special import erf
 
 from sgvf_drake.arrays import FloatArray
-from sgvf_drake.certificate.taylor_model import TINY, UNIT, Expansion, Univariate
+from sgvf_drake.certificate import kernels
+from sgvf_drake.certificate.kernels import TINY, UNIT
+from sgvf_drake.certificate.taylor_model import Expansion, Univariate
 from sgvf_drake.exceptions import ConfigurationError
 
 LIBRARY = 8
@@ -46,35 +48,20 @@ class Smooth:
     def expand(self, u: FloatArray, low: FloatArray, high: FloatArray) -> Expansion:
         """Returns the expansion; see `Univariate`."""
         value, slope, curvature = self.jet(u)
-        reach = np.maximum(high - u, u - low)
-        rest = self._bend(curvature, reach / 3) * reach**2 / 2
-        error = self._error(u)
-        rounding = error * (1 + reach + reach**2 / 2)
-        return Expansion(value, slope, curvature, (1 + FORMULA) * rest + rounding + TINY)
+        bounds = (self.least, self.most, self.third)
+        growth = FORMULA if self.growth else 0.0
+        rest = kernels.cubic_rests(u, low, high, curvature, bounds, FORMULA, growth)
+        return Expansion(value, slope, curvature, rest)
 
     def expand_slope(self, u: FloatArray, low: FloatArray, high: FloatArray) -> Expansion:
         """Returns the expansion of the derivative; see `Differentiable`."""
         _, slope, curvature = self.jet(u)
         reach = np.maximum(high - u, u - low)
-        rest = self._bend(curvature, reach / 2) * reach
-        rounding = self._error(u) * (1 + reach)
-        zero = np.zeros_like(u)
-        return Expansion(slope, curvature, zero, (1 + FORMULA) * rest + rounding + TINY)
-
-    def _bend(self, curvature: FloatArray, reach: FloatArray) -> FloatArray:
-        """What the second derivative changes by over a reach, or can be off by anywhere."""
         anywhere = np.maximum(np.abs(curvature - self.least), np.abs(self.most - curvature))
-        return np.minimum(self.third * np.maximum(reach, TINY), anywhere)
-
-    def _error(self, u: FloatArray) -> FloatArray | float:
-        """What rounding changes each number of the jet by."""
-        return FORMULA * (1 + np.abs(u)) if self.growth else FORMULA
-
-
-def _silu(u: FloatArray) -> Jet:
-    gate = 0.5 + 0.5 * np.tanh(0.5 * u)
-    bell = gate * (1 - gate)
-    return u * gate, gate + u * bell, bell * (2 + u * (1 - 2 * gate))
+        bend = np.minimum(self.third * np.maximum(reach / 2, TINY), anywhere)
+        error = FORMULA * (1 + np.abs(u)) if self.growth else FORMULA
+        rest = (1 + FORMULA) * bend * reach + error * (1 + reach) + TINY
+        return Expansion(slope, curvature, np.zeros_like(u), rest)
 
 
 def _tanh(u: FloatArray) -> Jet:
@@ -150,7 +137,7 @@ class Rectifier:
 
 
 ACTIVATIONS: Mapping[str, Univariate] = {
-    "SiLU": Smooth(_silu, -0.037, 0.501, 0.3082, growth=True),
+    "SiLU": Smooth(kernels.silu, -0.037, 0.501, 0.3082, growth=True),
     "Tanh": Smooth(_tanh, -0.77, 0.77, 2.001),
     "Sigmoid": Smooth(_sigmoid, -0.0963, 0.0963, 0.1251),
     "Softplus": Smooth(_softplus, -0.001, 0.251, 0.0963, growth=True),

@@ -14,15 +14,13 @@ import numpy as np
 from sgvf_drake.arrays import FloatArray
 from sgvf_drake.certificate.boxes import Boxes
 from sgvf_drake.certificate.expansions import COSINE, SINE, find_expansion
-from sgvf_drake.certificate.taylor_model import (
-    SLACK,
-    TINY,
-    UNIT,
-    TaylorModel,
-    Univariate,
-    concatenate,
-)
+from sgvf_drake.certificate.kernels import SLACK, TINY, UNIT
+from sgvf_drake.certificate.taylor_model import TaylorModel, Univariate, concatenate
 from sgvf_drake.fields.perceptron import FourierFeatures, Perceptron
+
+CHUNK = 96
+"""Squares that are asked about at once: what a network makes of them stays in the cache, and
+rows are no power of two apart, which would make them fall on each other there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +46,16 @@ def model_network(network: Perceptron, boxes: Boxes) -> TaylorModel:
     Raises:
         ConfigurationError: Nothing is known that bounds its activation.
     """
+    starts = range(0, len(boxes), CHUNK) or (0,)
+    models = [_model(network, boxes[start : start + CHUNK]) for start in starts]
+    return TaylorModel(
+        boxes.half,
+        np.concatenate([model.parts for model in models]),
+        np.concatenate([model.remainder for model in models]),
+    )
+
+
+def _model(network: Perceptron, boxes: Boxes) -> TaylorModel:
     position = TaylorModel.position(boxes)
     units = position if network.features is None else _features(network.features, position)
     activation = find_expansion(network.activation.name)
@@ -73,14 +81,11 @@ def affine(
     size = np.abs(weight)
     largest = units.magnitude.max(axis=1, keepdims=True)
     rounding = gamma * (largest * size.sum(axis=1) + np.abs(bias)) + TINY
-    model = TaylorModel(
-        units.half,
-        units.value @ weight.T + bias,
-        units.jacobian @ weight.T,
-        units.quadratic @ weight.T,
-        (1 + gamma) * (units.remainder @ size.T) + rounding,
-    )
-    return model, rounding
+    n, parts, inputs = units.parts.shape
+    mapped = (units.parts.reshape(-1, inputs) @ weight.T).reshape(n, parts, len(bias))
+    mapped[:, 0] += bias
+    remainder = (1 + gamma) * (units.remainder @ size.T) + rounding
+    return TaylorModel(units.half, mapped, remainder), rounding
 
 
 def _activate(
@@ -88,26 +93,27 @@ def _activate(
 ) -> tuple[TaylorModel, _Layer]:
     """Returns the models of the units of a layer, and what the way back needs."""
     found = activation.expand(inputs.value, inputs.lower, inputs.upper)
-    units, own = inputs.carried(found, inputs.value)
+    parts, own = inputs.composed(found, inputs.value)
     size = np.abs(found.slope)
     remainder = (1 + SLACK) * (size * inputs.remainder + own)
     own = (1 + SLACK) * (own + size * rounding)
-    return replace(units, remainder=remainder), _Layer(found.slope, own)
+    return TaylorModel(inputs.half, parts, remainder), _Layer(found.slope, own)
 
 
 def _carried(network: Perceptron, layers: list[_Layer], entry: FloatArray) -> FloatArray:
     """What the errors of all units make of the outputs, at most, (n, outputs)."""
-    last = network.weights[-1]
-    backward = np.broadcast_to(last, (len(entry), *last.shape))
+    last, n = network.weights[-1], len(entry)
+    backward = np.broadcast_to(last, (n, *last.shape))
     # What rounding changes of `backward`, by the absolute weights and the largest slope.
     size, gamma = np.abs(last), 0.0
-    total = np.zeros((len(entry), len(last)))
+    total = np.zeros((n, len(last)))
     for layer, weight in zip(reversed(layers), reversed(network.weights[:-1]), strict=True):
         reached = np.abs(backward) + gamma * size
-        total += (reached @ layer.own[:, :, None])[:, :, 0]
-        backward = (backward * layer.slope[:, None, :]) @ weight
+        total += np.einsum("nok,nk->no", reached, layer.own)
+        signed = (backward * layer.slope[:, None, :]).reshape(-1, len(weight))
+        backward = (signed @ weight).reshape(n, len(last), -1)
         size = (size * np.abs(layer.slope).max(axis=0, initial=0.0)) @ np.abs(weight)
         gamma += 2 * (weight.shape[0] + 4) * UNIT
     reached = np.abs(backward) + gamma * size
-    total += (reached @ entry[:, :, None])[:, :, 0]
+    total += np.einsum("nok,nk->no", reached, entry)
     return total * (1 + 2 * (4 + entry.shape[1]) * UNIT * (1 + len(layers)))

@@ -9,9 +9,10 @@ from sgvf_drake.certificate.boxes import Boxes
 from sgvf_drake.certificate.division import Answer, Division, divide
 from sgvf_drake.certificate.expansions import RECIPROCAL
 from sgvf_drake.certificate.field_model import dual_field, model_field
+from sgvf_drake.certificate.kernels import SLACK
 from sgvf_drake.certificate.mixture_model import MixtureModel, mixture_of
 from sgvf_drake.certificate.statement import Conditions
-from sgvf_drake.certificate.taylor_model import SLACK, TaylorModel
+from sgvf_drake.certificate.taylor_model import TaylorModel
 from sgvf_drake.certificate.topology import Shape
 from sgvf_drake.fields import GuidingField
 
@@ -156,12 +157,9 @@ class Turning:
             boxes.half, np.broadcast_to(-self.center, boxes.centers.shape)
         )
         # p x m is the product of m with p, turned by a quarter.
+        quarter = np.array([-self.side, self.side], float)
         turned = TaylorModel(
-            p.half,
-            p.value[:, ::-1] * [-self.side, self.side],
-            p.jacobian[:, :, ::-1] * [-self.side, self.side],
-            p.quadratic[:, :, ::-1],
-            p.remainder[:, ::-1],
+            p.half, p.parts[..., ::-1] * quarter, np.ascontiguousarray(p.remainder[:, ::-1])
         )
         nearest = np.maximum(np.abs(p.value) - boxes.half[:, None], 0)
         least = float((nearest**2).sum(axis=1).min(initial=np.inf)) * (1 - SLACK)

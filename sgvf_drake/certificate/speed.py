@@ -8,8 +8,8 @@ from sgvf_drake.arrays import BoolArray, FloatArray
 from sgvf_drake.certificate.boxes import Boxes
 from sgvf_drake.certificate.division import Answer, Division, divide
 from sgvf_drake.certificate.field_model import model_field
+from sgvf_drake.certificate.kernels import SLACK
 from sgvf_drake.certificate.mixture_model import MixtureModel
-from sgvf_drake.certificate.taylor_model import SLACK
 from sgvf_drake.fields import GuidingField
 
 SPEED = 0

@@ -39,9 +39,9 @@ shares = st.one_of(st.floats(0, 1), st.sampled_from([0.0, 1.0]))
 
 def excess(expansion, function, u, low, high, at):
     """How far the function is outside of its expansion at a point; at most zero."""
-    found = expansion.expand(*(np.array([value]) for value in (u, low, high)))
+    found = expansion.expand(*(np.array([[value]]) for value in (u, low, high)))
     parts = (found.value, found.slope, found.curvature, found.rest)
-    value, slope, curvature, rest = (arb(float(part[0])) for part in parts)
+    value, slope, curvature, rest = (arb(float(part[0, 0])) for part in parts)
     t = arb(at) - arb(u)
     return abs(function(arb(at)) - (value + slope * t + curvature * t * t / 2)) - rest
 

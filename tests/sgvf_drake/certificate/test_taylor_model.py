@@ -28,13 +28,8 @@ def random_model(rng, scale, half, functions=2, boxes=1):
         kind = rng.choice([0.0, 1e-6, 1.0, 30.0], size=shape)
         return scale * kind * rng.standard_normal(shape)
 
-    return TaylorModel(
-        np.full(boxes, half),
-        part(boxes, functions),
-        part(boxes, 2, functions),
-        part(boxes, 3, functions),
-        np.abs(part(boxes, functions)),
-    )
+    remainder = np.abs(part(boxes, functions))
+    return TaylorModel(np.full(boxes, half), part(boxes, 6, functions), remainder)
 
 
 def steps(rng, half):
@@ -108,9 +103,7 @@ def test_what_is_known_of_the_argument_is_used_and_safe():
     """The model of a square may have a value below zero, where the function has none."""
     model = TaylorModel(
         np.array([0.5]),
-        np.array([[-0.1]]),
-        np.array([[[0.3], [0.0]]]),
-        np.zeros((1, 3, 1)),
+        np.array([[[-0.1], [0.3], [0.0], [0.0], [0.0], [0.0]]]),
         np.array([[0.2]]),
     )
     found = model.apply(SQUASH, least=0.0)
