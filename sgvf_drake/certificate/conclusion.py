@@ -1,30 +1,42 @@
 """What a field is certified of, from what was proved of its basin, its tube and its orbits."""
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sgvf_drake.arrays import FloatArray
 from sgvf_drake.certificate import consequences, speed
+from sgvf_drake.certificate.annulus import Annulus
 from sgvf_drake.certificate.division import Division
+from sgvf_drake.certificate.extension import extend
 from sgvf_drake.certificate.field_model import has_dual
-from sgvf_drake.certificate.inner import Inner
-from sgvf_drake.certificate.orbits import Contraction, Ring, Turning
+from sgvf_drake.certificate.mixture_model import MixtureModel
+from sgvf_drake.certificate.orbits import Contraction, Turning
 from sgvf_drake.certificate.squares import Squares
 from sgvf_drake.certificate.statement import Certificate, Conditions, PieceResult
 from sgvf_drake.certificate.topology import Shape
+from sgvf_drake.certificate.trapping import is_trapping
 from sgvf_drake.fields import GuidingField
 from sgvf_drake.fields.storage import field_digest
 from sgvf_drake.paths import Reference
 
+ProposeRings = Callable[[int, FloatArray], Iterable[Annulus]]
+"""From the number of a piece and its points, (M, 2) normalised, to rings around its orbit."""
+
+
+# How finely a ring is covered to bound the time of a lap.
+PARTS = (1, 2, 4)
+
 
 @dataclass(frozen=True, eq=False)
-class Outer:
+class Proved:
     """What was proved of the basin and the tube.
 
     Attributes:
         conditions: C1 and C2.
         reference: The path.
+        levels: V.
         falls: What C1 came to.
         moves: What C2 came to.
         shape: The components and holes of the tube.
@@ -32,88 +44,127 @@ class Outer:
 
     conditions: Conditions
     reference: Reference
+    levels: MixtureModel
     falls: Division
     moves: Division
     shape: Shape
 
 
-def conclude(field: GuidingField, outer: Outer, inner: Inner | None) -> Certificate:
+@dataclass(frozen=True, eq=False)
+class _Orbit:
+    """What is proved of the closed orbit of a piece.
+
+    Attributes:
+        result: In words and numbers.
+        annulus: A ring that holds it; None: none is known.
+        boxes: Over how many squares the field was bounded.
+    """
+
+    result: PieceResult
+    annulus: Annulus | None = None
+    boxes: int = 0
+
+
+def conclude(field: GuidingField, proved: Proved, propose: ProposeRings) -> Certificate:
     """Returns the certificate of a field from what was proved of it."""
-    c, falls = outer.conditions, outer.falls
+    c, falls = proved.conditions, proved.falls
     found = consequences.rates(falls, c.c_in, c.c_out)
     unit = field.cloud.unit_length
     lower, upper = field.cloud.box
     box = float(np.prod((upper - lower) / unit))
-    pieces, boxes = _pieces(field, outer, inner)
-    missing = [k + 1 for k, piece in enumerate(pieces) if not piece.orbit_exists]
+    orbits = _orbits(field, proved, propose)
+    missing = [k + 1 for k, orbit in enumerate(orbits) if not orbit.result.orbit_exists]
     reason = "every piece has a closed orbit in its part of the tube"
     if missing:
         reason = f"no orbit is proved of piece {', '.join(map(str, missing))}"
-    widths = [
-        consequences.tube_half_width(field, shape, outer.reference)
-        for shape in (outer.shape, *([] if inner is None else [inner.shape]))
-    ]
+    above = extend(field, proved.levels, c)
+    annuli = tuple(orbit.annulus for orbit in orbits)
+    boxes = falls.evaluated + proved.moves.evaluated + above.boxes
+    boxes += sum(orbit.boxes for orbit in orbits)
+    basin = consequences.basin_area(falls, c.c_out) + above.basin_area
+    falling = consequences.falling_area(falls, c.c_in, c.c_out) + above.falling_area
     return Certificate(
         certified=not missing,
         reason=reason,
         field_digest=field_digest(field),
         conditions=c,
-        inner=None if inner is None else inner.conditions,
+        annuli=annuli,
         sigma=c.sigma * unit,
         alpha=float(found.alpha.min()) / unit,
-        delta=float(np.nanmin(outer.moves.facts[:, speed.SPEED])),
-        tube_half_width=widths[0],
-        orbit_half_width=min(widths),
-        area_fraction=consequences.basin_area(falls, c.c_out) / box,
-        decrease_fraction=consequences.falling_area(falls, c.c_in, c.c_out) / box,
+        delta=float(np.nanmin(proved.moves.facts[:, speed.SPEED])),
+        tube_half_width=consequences.tube_half_width(field, proved.shape, proved.reference),
+        orbit_half_width=consequences.annuli_half_width(field, annuli, proved.reference),
+        parts=above.parts,
+        area_fraction=basin / box,
+        decrease_fraction=falling / box,
         entry_time_bound=found.entry_time * unit,
         levels=tuple(found.levels.tolist()),
         e_star=tuple(found.e_star.tolist()),
         # The Hessian of V is at most I / sigma^2.
         step_bound=2 * c.sigma**2 * found.step * unit,
-        pieces=pieces,
-        boxes=boxes + falls.evaluated + outer.moves.evaluated,
+        pieces=tuple(orbit.result for orbit in orbits),
+        boxes=boxes,
     )
 
 
-def _pieces(
-    field: GuidingField, outer: Outer, inner: Inner | None
-) -> tuple[tuple[PieceResult, ...], int]:
-    """Returns what is proved of each piece, and over how many squares.
+def _orbits(field: GuidingField, proved: Proved, propose: ProposeRings) -> list[_Orbit]:
+    """Returns what is proved of the orbit of each piece.
 
     In a forward invariant ring without a zero there is a closed orbit around its hole, by the
     theorem of Poincare and Bendixson; an orbit around nothing would have a zero inside, in the
     ring, which has none.
     """
-    squares = Squares.of(field)
-    results, boxes = [], 0 if inner is None else inner.boxes
-    components = consequences.pieces_in(field, outer.shape, outer.reference)
-    for number, points in enumerate(consequences.points_of(outer.reference)):
+    orbits = []
+    components = consequences.pieces_in(field, proved.shape, proved.reference)
+    for number, points in enumerate(consequences.points_of(proved.reference)):
         component = components[number]
-        holes = None if component is None else outer.shape.holes[component - 1]
-        result = PieceResult(holes, bool(holes == 1 and outer.reference.closed[number]))
-        if component is not None and result.orbit_exists:
-            ring = Ring.of(field, outer.conditions, outer.shape, component, squares.ring)
-            if inner is not None:
-                ring = ring.inside(field, inner.conditions, inner.shape, squares.thin)
-            result, evaluated = _orbit(field, ring, result, field.cloud.normalize(points))
-            boxes += evaluated
-        results.append(result)
-    return tuple(results), boxes
+        holes = None if component is None else proved.shape.holes[component - 1]
+        result = PieceResult(holes, bool(holes == 1 and proved.reference.closed[number]))
+        if component is None or not result.orbit_exists:
+            orbits.append(_Orbit(result))
+            continue
+        orbit = _uniqueness(field, proved, component, result)
+        normalised = field.cloud.normalize(points)
+        for annulus in propose(number, normalised):
+            orbit = _lap(field, proved, annulus, orbit)
+            if orbit.annulus is not None:
+                break
+        orbits.append(orbit)
+    return orbits
 
 
-def _orbit(
-    field: GuidingField, ring: Ring, result: PieceResult, points: FloatArray
-) -> tuple[PieceResult, int]:
-    """Returns what is proved of the orbit about a piece, and over how many squares."""
-    boxes, unit, last = 0, field.cloud.unit_length, Squares.of(field).last
-    if has_dual(field) and ring.is_whole:
-        contraction = Contraction(field, ring.levels, ring.c_in).prove(ring.squares, last)
-        result = replace(result, orbit_unique=contraction.proved or None)
-        boxes += contraction.evaluated
-    turning = Turning.about(field, ring.levels, ring.c_in, points.mean(axis=0), points)
-    turns = turning.prove(ring.squares, last)
-    if turns.proved:
-        low, high = turning.lap_time(turns)
-        result = replace(result, lap_time_low=low * unit, lap_time_high=high * unit)
-    return result, boxes + turns.evaluated
+def _uniqueness(
+    field: GuidingField, proved: Proved, component: int, result: PieceResult
+) -> _Orbit:
+    """Returns an orbit in a component with one hole, by whether it is the only one."""
+    if not has_dual(field):
+        return _Orbit(result)
+    squares = Squares.of(field)
+    ring = proved.shape.squares_of(component, squares.ring)
+    contraction = Contraction(field, proved.levels, proved.conditions.c_in)
+    found = contraction.prove(ring, squares.last)
+    return _Orbit(replace(result, orbit_unique=found.proved or None), boxes=found.evaluated)
+
+
+def _lap(field: GuidingField, proved: Proved, annulus: Annulus, orbit: _Orbit) -> _Orbit:
+    """Returns an orbit with the time of its lap, where a ring holds it.
+
+    A closed orbit in {V <= c_out} is in the tube, since V falls above.
+    """
+    levels, unit = proved.levels, field.cloud.unit_length
+    in_basin = levels.level_range(annulus.squares())[1].max() <= proved.conditions.c_out
+    if not (annulus.is_ring and in_basin):
+        return orbit
+    traps, boxes = is_trapping(field, annulus)
+    orbit = replace(orbit, boxes=orbit.boxes + boxes)
+    if not traps:
+        return orbit
+    turning = Turning.about(field, np.array(annulus.center), np.array(annulus.vertices))
+    for parts in PARTS:
+        turns = turning.prove(annulus.squares(parts), Squares.of(field).cover / 8)
+        orbit = replace(orbit, boxes=orbit.boxes + turns.evaluated)
+        if turns.proved:
+            low, high = turning.lap_time(turns)
+            result = replace(orbit.result, lap_time_low=low * unit, lap_time_high=high * unit)
+            return replace(orbit, result=result, annulus=annulus)
+    return orbit

@@ -1,10 +1,12 @@
 """What follows from C1 and C2, from the bounds over squares."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from sgvf_drake.arrays import FloatArray
+from sgvf_drake.certificate.annulus import Annulus
 from sgvf_drake.certificate.boxes import Boxes
 from sgvf_drake.certificate.decrease import HIGH, LOW, MARGIN, RATE, STEP
 from sgvf_drake.certificate.division import Division
@@ -15,6 +17,8 @@ from sgvf_drake.paths import Reference, ReferencePath, TreeReference
 
 # Intervals of levels on which the rate and the margin are told.
 NUM_INTERVALS = 200
+# Points on each side of a polygon at which its distance from the path is measured.
+PARTS = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +82,25 @@ def tube_half_width(field: GuidingField, shape: Shape, reference: Reference) -> 
     centers = cover.lower + cover.side * (np.argwhere(shape.labels > 0) + 0.5)
     distance = reference.project(field.cloud.denormalize(centers)).distance.max()
     return float(distance + cover.side / np.sqrt(2) * field.cloud.unit_length)
+
+
+def annuli_half_width(
+    field: GuidingField, annuli: Iterable[Annulus | None], reference: Reference
+) -> float | None:
+    """Returns the largest distance of rings from the path, at most, in the field's unit.
+
+    None where there are no rings.
+    """
+    distances = []
+    for annulus in annuli:
+        for border in annulus.borders if annulus is not None else ():
+            step = np.roll(border, -1, axis=0) - border
+            shares = np.arange(PARTS)[:, None, None] / PARTS
+            points = (border + shares * step).reshape(-1, 2)
+            between = np.linalg.norm(step, axis=1).max() / (2 * PARTS)
+            off = reference.project(field.cloud.denormalize(points)).distance.max()
+            distances.append(float(off + (1 + SLACK) * between * field.cloud.unit_length))
+    return max(distances, default=None)
 
 
 def pieces_in(field: GuidingField, shape: Shape, reference: Reference) -> list[int | None]:

@@ -60,11 +60,11 @@ def divide(
     """Divides squares until a question is decided on each.
 
     Args:
-        boxes: The squares, of one size.
+        boxes: The squares.
         ask: Tells what is known of squares.
         refute: Tells at which points (n, 2) the answer is no, by the field itself; asked at
             the centres of squares that are undecided.
-        smallest: Half-side of squares that are divided no more.
+        smallest: Half-side at which, when all squares are as small, they are divided no more.
     """
     decided: list[Boxes] = []
     facts: list[FloatArray] = []
@@ -77,7 +77,7 @@ def divide(
         facts.append(np.concatenate([answer.facts for answer in answers])[done])
         boxes = boxes[~done]
         refuted = refute(boxes.centers)
-        if refuted.any() or (len(boxes) and boxes.half[0] <= smallest):
+        if refuted.any() or (len(boxes) and boxes.half.max() <= smallest):
             found = boxes.centers[refuted][0] if refuted.any() else None
             return _division(decided, facts, evaluated, found, boxes)
         boxes = boxes.quarters()

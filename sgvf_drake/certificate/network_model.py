@@ -111,7 +111,7 @@ def _carried(network: Perceptron, layers: list[_Layer], entry: FloatArray) -> Fl
         reached = np.abs(backward) + gamma * size
         total += np.einsum("nok,nk->no", reached, layer.own)
         signed = (backward * layer.slope[:, None, :]).reshape(-1, len(weight))
-        backward = (signed @ weight).reshape(n, len(last), -1)
+        backward = (signed @ weight).reshape(n, len(last), weight.shape[1])
         size = (size * np.abs(layer.slope).max(axis=0, initial=0.0)) @ np.abs(weight)
         gamma += 2 * (weight.shape[0] + 4) * UNIT
     reached = np.abs(backward) + gamma * size

@@ -1,4 +1,4 @@
-"""The closed orbit in a ring of the tube: is it the only one, and how long does a lap take?"""
+"""Closed orbits in rings: is there one only, and how long does a lap take?"""
 
 from dataclasses import dataclass, replace
 
@@ -10,63 +10,19 @@ from sgvf_drake.certificate.division import Answer, Division, divide
 from sgvf_drake.certificate.expansions import RECIPROCAL
 from sgvf_drake.certificate.field_model import dual_field, model_field
 from sgvf_drake.certificate.kernels import SLACK
-from sgvf_drake.certificate.mixture_model import MixtureModel, mixture_of
-from sgvf_drake.certificate.statement import Conditions
+from sgvf_drake.certificate.mixture_model import MixtureModel
+from sgvf_drake.certificate.squares import Squares
 from sgvf_drake.certificate.taylor_model import TaylorModel
-from sgvf_drake.certificate.topology import Shape
 from sgvf_drake.fields import GuidingField
 
 # Of the contraction: a bound of div m from above.
 DIVERGENCE = 0
 # Of the turning: bounds of the angular speed, in the direction of the lap.
 SLOWEST, FASTEST = range(2)
-# Squares are divided until the bounds of the angular speed are so close, relative to it; on
-# sectors of which there are so many.
-CLOSE = 0.1
+# Squares are divided until the bounds of the angular speed are so close, relative to it, or
+# until they are so small, in the unit of the squares; on sectors of which there are so many.
+CLOSE, FINE = 0.1, 1 / 16
 NUM_SECTORS = 720
-
-
-@dataclass(frozen=True, eq=False)
-class Ring:
-    """A component of a tube, with one hole, that holds the closed orbits of a piece.
-
-    Attributes:
-        levels: V.
-        c_in: The level of the tube.
-        squares: That cover the component, and others perhaps.
-        is_whole: Whether what they cover of the tube is known to be a ring with one hole.
-    """
-
-    levels: MixtureModel
-    c_in: float
-    squares: Boxes
-    is_whole: bool
-
-    @classmethod
-    def of(
-        cls,
-        field: GuidingField,
-        conditions: Conditions,
-        shape: Shape,
-        component: int,
-        half: float,
-    ) -> "Ring":
-        """Returns a component of a tube whose shape is known, by squares of a size."""
-        levels = MixtureModel(mixture_of(field, conditions.sigma), conditions.lowest)
-        squares = shape.squares_of(component, half)
-        return cls(levels, conditions.c_in, squares, shape.holes[component - 1] == 1)
-
-    def inside(
-        self, field: GuidingField, conditions: Conditions, shape: Shape, half: float
-    ) -> "Ring":
-        """Returns the component of an inner tube that holds what this ring has of it.
-
-        The ring itself, where that is in several components.
-        """
-        numbers = shape.components_in(self.squares)
-        if len(numbers) != 1:
-            return self
-        return Ring.of(field, conditions, shape, int(numbers[0]), half)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,54 +57,43 @@ class Contraction:
 
     def _refute(self, z: FloatArray) -> BoolArray:
         jacobian = self.field.value_and_jacobian(self.field.cloud.denormalize(z))[1]
-        return _in_tube(self.levels, self.c_in, z) & (np.trace(jacobian, 0, 1, 2) >= 0)
+        _, V = self.levels.level_range(Boxes(z, np.zeros(len(z))))
+        return (self.c_in >= V) & (np.trace(jacobian, 0, 1, 2) >= 0)
 
 
 @dataclass(frozen=True, eq=False)
 class Turning:
-    """The question how fast m turns around a point in a ring of {V <= c_in}.
+    """The question how fast m turns around a point.
 
     Attributes:
         field: m.
-        levels: V, in the field's normalised units.
-        c_in: The level of the tube.
         center: (2,) the point, normalised.
         side: 1 where it turns counter-clockwise, -1 where it turns clockwise.
     """
 
     field: GuidingField
-    levels: MixtureModel
-    c_in: float
     center: FloatArray
     side: int
 
     @classmethod
-    def about(
-        cls,
-        field: GuidingField,
-        levels: MixtureModel,
-        c_in: float,
-        center: FloatArray,
-        points: FloatArray,
-    ) -> "Turning":
+    def about(cls, field: GuidingField, center: FloatArray, points: FloatArray) -> "Turning":
         """Returns the question to the side to which m turns at most of some points (n, 2)."""
-        question = cls(field, levels, c_in, center, 1)
+        question = cls(field, center, 1)
         side = 1 if np.median(question.speed_at(points)) > 0 else -1
         return replace(question, side=side)
 
     def prove(self, boxes: Boxes, smallest: float) -> Division:
-        """Answers it over squares that cover the ring."""
+        """Answers it over squares."""
         return divide(boxes, self._ask, self._refute, smallest)
 
     def _ask(self, boxes: Boxes) -> Answer:
-        facts = np.full((len(boxes), 2), np.nan)
-        inside = self.levels.level_range(boxes)[0] <= self.c_in
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            speed = self._angular_speed(boxes[inside])
-        facts[inside, SLOWEST], facts[inside, FASTEST] = speed.lower[:, 0], speed.upper[:, 0]
+            speed = self._angular_speed(boxes)
+        facts = np.column_stack([speed.lower, speed.upper])
         width = facts[:, FASTEST] - facts[:, SLOWEST]
-        decided = ~inside | ((facts[:, SLOWEST] > 0) & (width <= CLOSE * facts[:, FASTEST]))
-        return Answer(decided, facts, int(inside.sum()))
+        fine = boxes.half <= FINE * Squares.of(self.field).unit
+        decided = (facts[:, SLOWEST] > 0) & ((width <= CLOSE * facts[:, FASTEST]) | fine)
+        return Answer(decided, facts, len(boxes))
 
     def _angular_speed(self, boxes: Boxes) -> TaylorModel:
         """Returns the models of (p x m) / |p|^2 with p = z - center, to the side."""
@@ -167,7 +112,7 @@ class Turning:
         return turned.dot(m) * p.dot(p).apply(RECIPROCAL, least=least)
 
     def _refute(self, z: FloatArray) -> BoolArray:
-        return _in_tube(self.levels, self.c_in, z) & (self.speed_at(z) <= 0)
+        return self.speed_at(z) <= 0
 
     def speed_at(self, z: FloatArray) -> FloatArray:
         """Returns the angular speed at points (n, 2), to the side."""
@@ -179,10 +124,9 @@ class Turning:
         """Returns bounds of the time of a lap in normalised units, from what was proved.
 
         While the orbit is in a sector it turns no slower and no faster than m does anywhere in
-        the ring's part of that sector.
+        the part of that sector that the squares cover.
         """
-        known = ~np.isnan(turning.facts[:, SLOWEST])
-        boxes, facts = turning.boxes[known], turning.facts[known]
+        boxes, facts = turning.boxes, turning.facts
         p = boxes.centers - self.center
         width = np.arcsin(np.minimum(np.sqrt(2) * boxes.half / np.linalg.norm(p, axis=1), 1))
         angle = np.arctan2(p[:, 1], p[:, 0])
@@ -200,8 +144,3 @@ class Turning:
             float((sector / fastest).sum() * (1 - rounding)),
             float((sector / slowest).sum() * (1 + rounding)),
         )
-
-
-def _in_tube(levels: MixtureModel, c_in: float, z: FloatArray) -> BoolArray:
-    _, V = levels.level_range(Boxes(z, np.zeros(len(z))))
-    return np.asarray(c_in >= V)

@@ -1,17 +1,14 @@
 """The proof of given conditions, or how it ends."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from sgvf_drake.arrays import FloatArray
-from sgvf_drake.certificate.boxes import Boxes
-from sgvf_drake.certificate.conclusion import Outer, conclude
+from sgvf_drake.certificate.conclusion import ProposeRings, Proved, conclude
 from sgvf_drake.certificate.decrease import Decrease
 from sgvf_drake.certificate.division import Division
-from sgvf_drake.certificate.inner import Inner
 from sgvf_drake.certificate.mixture_model import MixtureModel, mixture_of
 from sgvf_drake.certificate.speed import Speed
 from sgvf_drake.certificate.squares import HALF_WIDTH, Squares
@@ -20,9 +17,6 @@ from sgvf_drake.certificate.topology import shape_of_band
 from sgvf_drake.fields import GuidingField
 from sgvf_drake.fields.storage import field_digest
 from sgvf_drake.paths import Reference
-
-FindInner = Callable[[GuidingField, Conditions, Boxes], Inner | None]
-"""From a field, the conditions of its tube and squares that cover it, to a tube inside."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +37,7 @@ def prove(
     field: GuidingField,
     conditions: Conditions,
     reference: Reference,
-    find: FindInner,
+    propose: ProposeRings,
 ) -> Attempt:
     """Proves conditions of a field, and what follows from them for the pieces of a path.
 
@@ -51,7 +45,7 @@ def prove(
         field: The field.
         conditions: What is to be proved.
         reference: The path.
-        find: Finds a thinner tube inside of one, for the orbits.
+        propose: Gives thin rings around the closed orbit of a piece, the best first.
     """
     squares = Squares.of(field)
     levels = MixtureModel(mixture_of(field, conditions.sigma), conditions.lowest)
@@ -71,9 +65,8 @@ def prove(
     shape = shape_of_band(levels, c.c_in, c.c_out, squares.cover)
     if shape is None:
         return Attempt(failed(field, conditions, "the band is too thin for the covers"))
-    cover = levels.squares_below(c.c_in, squares.everything, squares.cover)
-    outer = Outer(conditions, reference, falls, moves, shape)
-    return Attempt(conclude(field, outer, find(field, conditions, cover)))
+    proved = Proved(conditions, reference, levels, falls, moves, shape)
+    return Attempt(conclude(field, proved, propose))
 
 
 def _undone(

@@ -1,14 +1,16 @@
 """From a field to its certificate: samples propose the levels, bounds over squares prove."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from sgvf_drake.arrays import FloatArray
+from sgvf_drake.certificate.annulus import Annulus
 from sgvf_drake.certificate.boxes import Boxes
 from sgvf_drake.certificate.field_model import model_field
-from sgvf_drake.certificate.inner import find_inner, known_inner
 from sgvf_drake.certificate.mixture_model import lowest_of, mixture_of
+from sgvf_drake.certificate.orbit_search import propose_annuli
 from sgvf_drake.certificate.proof import failed, prove
 from sgvf_drake.certificate.squares import Squares
 from sgvf_drake.certificate.statement import Certificate, Conditions
@@ -28,6 +30,10 @@ from sgvf_drake.progress import Progress, no_progress
 # What is to be proved: V falls by more than this in every normalised unit of length, and m is
 # at least so fast in the tube; and how sharp the bounds are to be.
 ALPHA, DELTA, SHARE = 0.01, 0.05, 0.5
+# Points along each axis at which a band is looked for; what they miss the proof finds.
+GRID_SIZE = 151
+# Noise levels of V that are tried, in those of the field.
+RATIOS = (0.7, 1.0, 1.4)
 # A level at which V does not fall is left out of the band with this margin, so many times.
 LEVEL_MARGIN, LEVEL_FLOOR = 0.03, 0.005
 ATTEMPTS = 12
@@ -53,9 +59,9 @@ def certify(
     # What nothing bounds is told before the search.
     model_field(field, Boxes.square(Squares.of(field).cover))
     reference = learned_path(field) if reference is None else reference
-    samples = take_samples(field)
+    samples = take_samples(field, grid_size=GRID_SIZE)
     stops = find_guiding_zeros(field).points
-    band = search_band(field, samples, reference, stops=stops, progress=progress)
+    band = search_band(field, samples, reference, RATIOS, stops=stops, progress=progress)
     if band is None:
         return _without_band(field, reference, stops)
     sigma = band.function.sigma / field.cloud.unit_length
@@ -80,7 +86,12 @@ def check(
     if certificate.conditions is None or not certificate.certified:
         raise ConfigurationError("the certificate certifies nothing")
     reference = learned_path(field) if reference is None else reference
-    known = known_inner(certificate.inner)
+    rings = certificate.annuli
+
+    def known(piece: int, _: FloatArray) -> list[Annulus]:
+        ring = rings[piece] if piece < len(rings) else None
+        return [] if ring is None else [ring]
+
     found = prove(field, certificate.conditions, reference, known).certificate
     if not found.is_as_strong_as(certificate):
         return found.refused("what is claimed is not what is proved")
@@ -93,8 +104,12 @@ def _prove_narrowing(
     """Proves conditions on the band that is left where V was found not to fall."""
     function = LyapunovFunction(mixture_of(field, conditions.sigma))
     boxes = 0
+
+    def propose(_: int, points: FloatArray) -> Iterator[Annulus]:
+        return propose_annuli(field, points)
+
     for number in range(ATTEMPTS):
-        attempt = prove(field, conditions, reference, find_inner)
+        attempt = prove(field, conditions, reference, propose)
         boxes += attempt.certificate.boxes
         progress("prove", number + 1, ATTEMPTS)
         if attempt.obstacle is None:

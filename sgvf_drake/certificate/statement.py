@@ -8,6 +8,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+from sgvf_drake.certificate.annulus import Annulus
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields.storage import write_whole
 
@@ -58,6 +59,25 @@ class Conditions:
 
 
 @dataclass(frozen=True)
+class Part:
+    """A component of {c_out <= V <= level} on which V falls, so that it leads down to c_out.
+
+    Attributes:
+        level: The upper level.
+        point: (2,) a point of it, in the unit of the waypoints.
+    """
+
+    level: float
+    point: tuple[float, float]
+
+    @classmethod
+    def of(cls, body: Mapping[str, Any]) -> "Part":
+        """Returns the part of a JSON object."""
+        x, y = body["point"]
+        return cls(float(body["level"]), (float(x), float(y)))
+
+
+@dataclass(frozen=True)
 class PieceResult:
     """What is proved of one piece of the path.
 
@@ -92,15 +112,16 @@ class Certificate:
         reason: Why it is so or not, in words.
         field_digest: Of the field.
         conditions: What was to be proved; None: samples showed nothing to prove.
-        inner: C1 of another V' on a band that the tube begins in: closed orbits lie in
-            {V' <= c_in'}; None: there is none.
+        annuli: Of each piece of the path a thin ring that m points into everywhere, so that
+            it holds a closed orbit; None: none was found.
         sigma: The noise level of V; None, as the following, where nothing was proved.
         alpha: The rate at which V falls in the band at least, per unit of length.
         delta: |m| in the tube at least.
         tube_half_width: Largest distance of {V <= c_in} from the path, at most.
-        orbit_half_width: Largest distance from the path of what holds the closed orbits.
-        area_fraction: Area of {V <= c_out} over that of the box, at least.
-        decrease_fraction: Part of the box where V was proved to fall.
+        orbit_half_width: Largest distance of all the rings from the path, at most.
+        parts: What leads down to {V <= c_out} from above.
+        area_fraction: Area of {V <= c_out} and these parts over that of the box, at least.
+        decrease_fraction: Part of the box where V was proved to fall, in these parts or not.
         entry_time_bound: Time from V = c_out to the tube, at most.
         levels: Levels of V from c_in to c_out.
         e_star: The disturbance that m tolerates on the levels between each and the next, at
@@ -117,12 +138,13 @@ class Certificate:
     reason: str
     field_digest: str
     conditions: Conditions | None = None
-    inner: Conditions | None = None
+    annuli: tuple[Annulus | None, ...] = ()
     sigma: float | None = None
     alpha: float | None = None
     delta: float | None = None
     tube_half_width: float | None = None
     orbit_half_width: float | None = None
+    parts: tuple[Part, ...] = ()
     area_fraction: float | None = None
     decrease_fraction: float | None = None
     entry_time_bound: float | None = None
@@ -187,7 +209,7 @@ class Certificate:
             raise ConfigurationError("the certificate was changed after it was written")
         try:
             return cls._of(body)
-        except (KeyError, TypeError) as error:
+        except (KeyError, TypeError, ValueError) as error:
             raise ConfigurationError(f"not a whole certificate ({error})") from None
 
     @classmethod
@@ -195,14 +217,13 @@ class Certificate:
         names = {field.name for field in fields(cls)}
         if set(body) != names:
             raise KeyError(*sorted(names ^ set(body)))
-        point, conditions, inner = (
-            body[name] for name in ("counterexample", "conditions", "inner")
-        )
+        point, conditions = body["counterexample"], body["conditions"]
         return cls(
             **{
                 **body,
                 "conditions": None if conditions is None else Conditions(**conditions),
-                "inner": None if inner is None else Conditions(**inner),
+                "annuli": tuple(ring and Annulus.of(ring) for ring in body["annuli"]),
+                "parts": tuple(map(Part.of, body["parts"])),
                 "levels": tuple(body["levels"]),
                 "e_star": tuple(body["e_star"]),
                 "pieces": tuple(PieceResult(**piece) for piece in body["pieces"]),
@@ -215,7 +236,7 @@ class Certificate:
 
         On other machines the last bits of bounds differ.
         """
-        mine, claimed = ((one.certified, one.conditions, one.inner) for one in (self, other))
+        mine, claimed = ((one.certified, one.conditions, one.annuli) for one in (self, other))
         if mine != claimed:
             return False
         if [_kind(piece) for piece in self.pieces] != [_kind(piece) for piece in other.pieces]:

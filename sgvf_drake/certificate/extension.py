@@ -1,0 +1,154 @@
+"""Above the band: parts of higher levels, each up to where V was first not proved to fall.
+
+Past a critical level of V nothing follows for {V <= c} as a whole, and the critical levels on
+the medial axis of a path may be low.  But a component of {c_out <= V <= c} on all of which V
+falls leads down to c_out by itself: what starts there cannot leave it but through that level,
+and it cannot stay, since it is compact and V_dot has a bound below zero on it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from sgvf_drake.arrays import FloatArray, IntArray
+from sgvf_drake.certificate.boxes import Boxes
+from sgvf_drake.certificate.decrease import HIGH, LOW, RATE, Decrease
+from sgvf_drake.certificate.division import Division
+from sgvf_drake.certificate.mixture_model import MixtureModel
+from sgvf_drake.certificate.squares import Squares
+from sgvf_drake.certificate.statement import Conditions, Part
+from sgvf_drake.certificate.topology import TOUCHING
+from sgvf_drake.fields import GuidingField
+
+# Levels from c_out to the highest that are tried.
+NUM_LEVELS = 120
+
+
+@dataclass(frozen=True, eq=False)
+class Extension:
+    """What was proved above the band, inside of the field's box.
+
+    Attributes:
+        parts: The components of {c_out <= V <= level} from which robots come down, the largest.
+        basin_area: Of these, at least, in normalised units.
+        falling_area: Of all squares on which V falls, in one of these or not.
+        boxes: Number of squares over which the field was bounded.
+    """
+
+    parts: tuple[Part, ...]
+    basin_area: float
+    falling_area: float
+    boxes: int
+
+
+def extend(field: GuidingField, levels: MixtureModel, conditions: Conditions) -> Extension:
+    """Proves that V falls above the band where it does, and finds what leads down from there.
+
+    Args:
+        field: The field.
+        levels: V.
+        conditions: C1 and C2, proved.
+    """
+    squares = Squares.of(field)
+    lower, upper = (field.cloud.normalize(corner[None])[0] for corner in field.cloud.box)
+    raster = _Raster.over(lower, upper, squares.first)
+    falls = _falls(field, levels, conditions, raster.squares, squares.cover)
+    open_level = raster.lowest(falls.undecided.centers, levels.level_range(falls.undecided)[0])
+    low, high = (raster.grid(bound) for bound in levels.level_range(raster.squares))
+    found, reach = _parts(raster, low, high, open_level, conditions.c_out)
+    inside = field.cloud.denormalize(raster.squares.centers[list(found.values())])
+    parts = tuple(map(Part, found, map(tuple, inside.tolist())))
+    # Below c_out V falls by C1.
+    facts, boxes = falls.facts, falls.boxes
+    proved = ~np.isnan(facts[:, RATE]) & (facts[:, LOW] >= conditions.c_in)
+    proved &= ((lower <= boxes.centers) & (boxes.centers <= upper)).all(axis=1)
+    area = np.where(proved, 4 * boxes.half**2, 0.0)
+    leads_down = facts[:, HIGH] <= raster.at(boxes.centers, reach)
+    return Extension(parts, float(area[leads_down].sum()), float(area.sum()), falls.evaluated)
+
+
+def _falls(
+    field: GuidingField,
+    levels: MixtureModel,
+    conditions: Conditions,
+    squares: Boxes,
+    smallest: float,
+) -> Division:
+    """Proves that V falls above c_out on squares, as far as that goes."""
+    highest = float(levels.level_range(squares)[1].max()) + 1
+    question = Decrease(field, levels, conditions.c_out, highest, conditions.alpha, 0.0)
+    return question.explore(squares, smallest)
+
+
+@dataclass(frozen=True, eq=False)
+class _Raster:
+    """Squares of one size in rows and columns.
+
+    Attributes:
+        squares: The squares, row by row.
+        shape: Number of rows, along x, and of columns.
+    """
+
+    squares: Boxes
+    shape: tuple[int, int]
+
+    @classmethod
+    def over(cls, lower: FloatArray, upper: FloatArray, half: float) -> "_Raster":
+        """Returns those that cover a box, and one more around."""
+        first = np.floor(lower / (2 * half)).astype(int) - 1
+        last = np.ceil(upper / (2 * half)).astype(int) + 1
+        axes = [2 * half * (np.arange(a, b) + 0.5) for a, b in zip(first, last, strict=True)]
+        centers = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+        return cls(Boxes(centers, np.full(len(centers), half)), (len(axes[0]), len(axes[1])))
+
+    def grid(self, values: FloatArray) -> FloatArray:
+        """Returns values of the squares (n,) by rows and columns."""
+        return values.reshape(self.shape)
+
+    def at(self, points: FloatArray, values: FloatArray) -> FloatArray:
+        """Returns the values (rows, columns) of the squares that points (n, 2) are in."""
+        return np.asarray(values[tuple(self._cells(points).T)])
+
+    def lowest(self, points: FloatArray, values: FloatArray) -> FloatArray:
+        """Returns the lowest of the values (n,) at points in each square, or infinity."""
+        found = np.full(self.shape, np.inf)
+        np.minimum.at(found, tuple(self._cells(points).T), values)
+        return found
+
+    def _cells(self, points: FloatArray) -> IntArray:
+        side = 2 * self.squares.half[0]
+        corner = self.squares.centers[0] - self.squares.half[0]
+        return np.asarray(np.floor((points - corner) / side).astype(np.intp))
+
+
+def _parts(
+    raster: _Raster, low: FloatArray, high: FloatArray, open_level: FloatArray, c_out: float
+) -> tuple[dict[float, int], FloatArray]:
+    """Returns the largest parts, and the level up to which each square belongs to one.
+
+    Each part by its level, and the number of a square that is in it.
+
+    Args:
+        raster: Squares, by rows and columns as the following.
+        low: V on them at least.
+        high: V on them at most.
+        open_level: V at least, where it is open whether V falls; infinite elsewhere.
+        c_out: The level that the parts lead down to.
+    """
+    edge = np.ones(raster.shape, bool)
+    edge[1:-1, 1:-1] = False
+    open_level = np.where(edge, low, open_level)
+    reach = np.full(raster.shape, -np.inf)
+    parts: dict[float, int] = {}
+    for level in np.geomspace(c_out, high.max(), NUM_LEVELS + 1)[:0:-1]:
+        labels, count = ndimage.label((high >= c_out) & (low <= level), TOUCHING)
+        lowest = ndimage.minimum(open_level, labels, np.arange(1, count + 1))
+        for number in np.flatnonzero(np.asarray(lowest) > level) + 1:
+            cells = labels == number
+            inside = cells & (low >= c_out) & (high <= level)
+            # A part of one that was found at a higher level is no other.
+            if inside.any() and (reach[cells] < level).all():
+                parts[float(level)] = int(np.argmax(inside))
+                reach[cells] = level
+    return parts, reach
