@@ -1,0 +1,96 @@
+"""Fields and their derivatives in ball arithmetic, fast enough for many points.
+
+The weights are matrices of balls, and what is carried through the layers are the units beside
+their two partial derivatives, so that one pass gives a network and its Jacobian.
+"""
+
+from flint import arb, arb_mat, arb_series
+import numpy as np
+
+from sgvf_drake.fields import GaussianMixture
+
+from .balls import FUNCTIONS, composed, mixture_at
+
+
+def matrix(array):
+    return arb_mat([[arb(float(value)) for value in row] for row in np.atleast_2d(array)])
+
+
+def dual(value, slope):
+    """A function of one variable to first order, as a power series."""
+    return arb_series([value, slope], prec=2)
+
+
+class BallNetwork:
+    """The outputs of a network of balls, each with its two partial derivatives."""
+
+    def __init__(self, network):
+        self.layers = [
+            affine_of(weight, bias)
+            for weight, bias in zip(network.weights, network.biases, strict=True)
+        ]
+        self.activation = FUNCTIONS[network.activation.name]
+        self.angles = None
+        if network.features is not None:
+            self.angles = affine_of(network.features.frequencies, network.features.phases)
+
+    def __call__(self, z):
+        """Returns [(value, slope, slope), ...] at a point, or over a square, of balls.
+
+        Inputs after the first two are constant.
+        """
+        rows = [[x, *(arb(int(k == j)) for j in range(2))] for k, x in enumerate(z)]
+        if self.angles is not None:
+            angles = applied(self.angles, rows)
+            rows = [unit for name in ("sine", "cosine") for unit in units_of(name, angles)]
+        for layer in self.layers[:-1]:
+            rows = units_of(self.activation, applied(layer, rows))
+        return applied(self.layers[-1], rows)
+
+
+def affine_of(weight, bias):
+    columns = np.column_stack([bias, np.zeros((len(bias), 2))])
+    return matrix(weight), matrix(columns)
+
+
+def applied(affine, rows):
+    weight, bias = affine
+    return (weight * arb_mat(rows) + bias).tolist()
+
+
+def units_of(function, rows):
+    """The values of a function, and its derivatives by the chain rule."""
+    function = FUNCTIONS.get(function, function)
+    units = []
+    for value, *slopes in rows:
+        found = function(dual(value, 1))
+        units.append([found[0], *(found[1] * inner for inner in slopes)])
+    return units
+
+
+class BallField:
+    """m of a guiding field, in normalised units."""
+
+    def __init__(self, field):
+        self.composition = field.composition
+        self.tangent = BallNetwork(field.tangent_network)
+        score = field.score_model
+        self.mixture = score if isinstance(score, GaussianMixture) else None
+        if self.mixture is None:
+            self.score = BallNetwork(score.network)
+            self.scale = arb(score.scale)
+
+    def __call__(self, z):
+        """Returns m, and its derivatives by both coordinates, at a point of balls."""
+        tangent = self.tangent(z)
+        score = None if self.mixture is not None else self.score([*z, arb(1)])
+        along = []
+        for k in range(2):
+            N = [dual(row[0], row[1 + k]) for row in tangent]
+            if score is None:
+                x = [dual(value, int(k == j)) for j, value in enumerate(z)]
+                S = [-entry for entry in mixture_at(self.mixture, x)[1]]
+            else:
+                S = [dual(row[0], row[1 + k]) / self.scale for row in score]
+            along.append(composed(self.composition, S, N))
+        return [entry[0] for entry in along[0]], [[m[1] for m in along[k]] for k in range(2)]
