@@ -9,7 +9,7 @@ import numpy as np
 
 from sgvf_drake.fields import GaussianMixture
 
-from .balls import FUNCTIONS, composed, mixture_at
+from .balls import FUNCTIONS, composed, mixture_at, sigmoid
 
 
 def matrix(array):
@@ -29,7 +29,7 @@ class BallNetwork:
             affine_of(weight, bias)
             for weight, bias in zip(network.weights, network.biases, strict=True)
         ]
-        self.activation = FUNCTIONS[network.activation.name]
+        self.activation = network.activation.name
         self.angles = None
         if network.features is not None:
             self.angles = affine_of(network.features.frequencies, network.features.phases)
@@ -58,14 +58,27 @@ def applied(affine, rows):
     return (weight * arb_mat(rows) + bias).tolist()
 
 
-def units_of(function, rows):
+def units_of(name, rows):
     """The values of a function, and its derivatives by the chain rule."""
-    function = FUNCTIONS.get(function, function)
-    units = []
+    function, units = WITH_SLOPE.get(name), []
     for value, *slopes in rows:
-        found = function(dual(value, 1))
+        found = function(value) if function else FUNCTIONS[name](dual(value, 1))
         units.append([found[0], *(found[1] * inner for inner in slopes)])
     return units
+
+
+def silu_with_slope(u):
+    gate = sigmoid(u)
+    return u * gate, gate + u * gate * (1 - gate)
+
+
+def tanh_with_slope(u):
+    value = 2 * sigmoid(2 * u) - 1
+    return value, 1 - value**2
+
+
+WITH_SLOPE = {"SiLU": silu_with_slope, "Tanh": tanh_with_slope}
+"""In forms that are narrower over wide balls than the arithmetic of power series."""
 
 
 class BallField:
