@@ -8,7 +8,8 @@ from flint import arb
 import numpy as np
 
 from sgvf_drake.certificate.boxes import Boxes
-from sgvf_drake.certificate.field_model import dual_field, has_dual, model_field
+from sgvf_drake.certificate.field_model import dual_field, has_dual, model_field, model_score
+from sgvf_drake.certificate.network_model import model_network
 
 from .ball_fields import BallField
 from .balls import dot, mixture_at, model_at
@@ -30,11 +31,20 @@ def random_boxes(field, half, count, rng):
 
 
 def models_of(field, levels, boxes):
-    """The models of an attempt at a proof, by what they stand for."""
+    """The models of an attempt at a proof, by what they stand for.
+
+    The networks are among them: the slack of a composition would hide what they get wrong.
+    """
     with np.errstate(over="ignore", invalid="ignore"):
         gradient, m = levels.gradient(boxes), model_field(field, boxes)
-        found = {"m": m, "grad V": gradient, "V": levels.level(boxes, gradient)}
-        found["V_dot"] = gradient.dot(m)
+        found = {
+            "N": model_network(field.tangent_network, boxes),
+            "S": model_score(field.score_model, boxes),
+            "m": m,
+            "grad V": gradient,
+            "V": levels.level(boxes, gradient),
+            "V_dot": gradient.dot(m),
+        }
         if has_dual(field):
             found["div m"] = dual_field(field, boxes).divergence
     return found
@@ -42,12 +52,17 @@ def models_of(field, levels, boxes):
 
 def values_at(evaluated, levels, z):
     """The same at a point, in balls."""
-    m, J = evaluated(z)
+    there = evaluated(z)
     V, gradient = mixture_at(levels.mixture, z)
     level = V - arb(levels.lowest)
     return {
-        **{"m": m, "grad V": gradient, "V": [level], "V_dot": [dot(gradient, m)]},
-        "div m": [J[0][0] + J[1][1]],
+        "N": there.N,
+        "S": there.S,
+        "m": there.m,
+        "grad V": gradient,
+        "V": [level],
+        "V_dot": [dot(gradient, there.m)],
+        "div m": [there.slopes[0][0] + there.slopes[1][1]],
     }
 
 
@@ -62,7 +77,13 @@ def adverse_steps(field, levels, boxes, models, row, rng):
     z = boxes.centers[row] + tried
     m = field(field.cloud.denormalize(z))
     gradient = -levels.mixture.score(z)
-    values = {"m": m, "grad V": gradient, "V_dot": (gradient * m).sum(axis=1)[:, None]}
+    values = {
+        "N": field.tangent_network(z),
+        "S": field.score_model.score(z),
+        "m": m,
+        "grad V": gradient,
+        "V_dot": (gradient * m).sum(axis=1)[:, None],
+    }
     worst = [
         np.abs(value - polynomial(models[name], row, tried)).argmax(axis=0)
         for name, value in values.items()

@@ -4,6 +4,8 @@ The weights are matrices of balls, and what is carried through the layers are th
 their two partial derivatives, so that one pass gives a network and its Jacobian.
 """
 
+from dataclasses import dataclass
+
 from flint import arb, arb_mat, arb_series
 import numpy as np
 
@@ -81,8 +83,25 @@ WITH_SLOPE = {"SiLU": silu_with_slope, "Tanh": tanh_with_slope}
 """In forms that are narrower over wide balls than the arithmetic of power series."""
 
 
+@dataclass(frozen=True)
+class Values:
+    """What a field is made of at a point, of balls.
+
+    Attributes:
+        N: Outputs of the tangent network.
+        S: The raw score.
+        m: The field.
+        slopes: The derivatives of m by either coordinate.
+    """
+
+    N: list
+    S: list
+    m: list
+    slopes: list
+
+
 class BallField:
-    """m of a guiding field, in normalised units."""
+    """A guiding field, in normalised units."""
 
     def __init__(self, field):
         self.composition = field.composition
@@ -94,16 +113,22 @@ class BallField:
             self.scale = arb(score.scale)
 
     def __call__(self, z):
-        """Returns m, and its derivatives by both coordinates, at a point of balls."""
-        tangent = self.tangent(z)
-        score = None if self.mixture is not None else self.score([*z, arb(1)])
-        along = []
-        for k in range(2):
-            N = [dual(row[0], row[1 + k]) for row in tangent]
-            if score is None:
-                x = [dual(value, int(k == j)) for j, value in enumerate(z)]
-                S = [-entry for entry in mixture_at(self.mixture, x)[1]]
-            else:
-                S = [dual(row[0], row[1 + k]) / self.scale for row in score]
-            along.append(composed(self.composition, S, N))
-        return [entry[0] for entry in along[0]], [[m[1] for m in along[k]] for k in range(2)]
+        """Returns the values at a point of balls."""
+        tangent = directions(self.tangent(z))
+        score = self.raw_score(z)
+        fields = [composed(self.composition, S, N) for S, N in zip(score, tangent, strict=True)]
+        N, S, m = ([entry[0] for entry in part[0]] for part in (tangent, score, fields))
+        return Values(N, S, m, [[entry[1] for entry in field] for field in fields])
+
+    def raw_score(self, z):
+        """The raw score along either coordinate, as power series."""
+        if self.mixture is None:
+            rows = self.score([*z, arb(1)])
+            return [[entry / self.scale for entry in part] for part in directions(rows)]
+        lines = [[dual(value, int(k == j)) for j, value in enumerate(z)] for k in range(2)]
+        return [[-entry for entry in mixture_at(self.mixture, line)[1]] for line in lines]
+
+
+def directions(rows):
+    """Values with their two derivatives, as power series along either coordinate."""
+    return [[dual(row[0], row[1 + k]) for row in rows] for k in range(2)]
