@@ -26,7 +26,7 @@ CASES = (
 )
 """Shapes, recipes, and noise levels of V in those of the field."""
 
-SQUARES = 60
+SQUARES = 40
 """Of each size, for each field."""
 
 
