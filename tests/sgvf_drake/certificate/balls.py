@@ -23,6 +23,11 @@ def sigmoid(z):
     return 1 / (1 + (-z).exp())
 
 
+def sech(z):
+    decay = (-z).exp()
+    return 2 * decay / (1 + decay * decay)
+
+
 def gelu(z):
     return z * (1 + (z / arb(2).sqrt()).erf()) / 2
 
@@ -126,7 +131,7 @@ def field_at(field, z):
 
 
 def composed(composition, S, N):
-    """m = s + v of a composition, by its formulas."""
+    """m = s + v of a composition, by its formulas; of balls, or of power series."""
     gain = arb(composition.gain)
     if isinstance(composition, (PaperComposition, NormalisedComposition)):
         m = [s + v for s, v in zip(squashed(S, gain), N, strict=True)]
@@ -137,13 +142,16 @@ def composed(composition, S, N):
         ratio = (arb(composition.sigma) / PROJECTION_RANGE) ** 2 * dot(S, S)
         along = dot(S, v) / (1 + ratio ** (PROJECTION_POWER // 2))
         normal = [s - along * entry for s, entry in zip(S, v, strict=True)]
-    share = composition.tangent_share * (gain * dot(normal, normal).sqrt()).sech()
+    share = composition.tangent_share * sech(gain * dot(normal, normal).sqrt())
     return [a + share * b for a, b in zip(squashed(normal, gain), v, strict=True)]
 
 
 def squashed(S, gain):
-    size = dot(S, S).sqrt()
-    factor = gain if size == 0 else (gain * size).tanh() / size
+    square = dot(S, S)
+    if isinstance(square, arb) and square == 0:
+        return [arb(0) for _ in S]
+    size = square.sqrt()
+    factor = FUNCTIONS["Tanh"](gain * size) / size
     return [factor * s for s in S]
 
 
