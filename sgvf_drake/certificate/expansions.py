@@ -251,8 +251,8 @@ class Convex:
         rounding = FORMULA * (1 + u) * (np.abs(value) + np.abs(slope) * reach)
         rest = (1 + FORMULA) * reach**2 / 2 * bend
         found = Expansion(value, slope, curvature, rest + rounding + TINY)
-        ends = (self.value_and_slope(end)[0] for end in (high, low))
-        return _or_flat(found, *ends, FORMULA * (1 + high))
+        least, most = self.value_and_slope(high)[0], self.value_and_slope(low)[0]
+        return _or_flat(found, least, most, FORMULA * (1 + high))
 
     def expand_slope(self, u: FloatArray, low: FloatArray, high: FloatArray) -> Expansion:
         """Returns the expansion of the derivative; see `Differentiable`."""
@@ -262,8 +262,8 @@ class Convex:
         rest = (1 + FORMULA) * reach * bend
         rounding = FORMULA * (1 + u) * np.abs(slope)
         found = Expansion(slope, curvature, np.zeros_like(u), rest + rounding + TINY)
-        ends = (self.value_and_slope(end)[1] for end in (low, high))
-        return _or_flat(found, *ends, FORMULA * (1 + high))
+        least, most = self.value_and_slope(low)[1], self.value_and_slope(high)[1]
+        return _or_flat(found, least, most, FORMULA * (1 + high))
 
     def _bend(
         self, u: FloatArray, low: FloatArray, high: FloatArray
