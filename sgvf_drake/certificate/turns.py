@@ -19,14 +19,17 @@ def proved_winding_number(boxes: Boxes, directions: FloatArray, half: float) -> 
     and around the border these are the same.
 
     Args:
-        boxes: Squares without overlap that cover the square.
+        boxes: Squares of a dyadic grid in the square, without overlap.
         directions: (n, 2) u of each, NaN where none is known.
         half: Half-side of the square.
 
     Returns:
-        The number, counter-clockwise; None: it is not proved.
+        The number, counter-clockwise; None: it is not proved, or they do not cover the border.
     """
-    u = directions[_along_border(boxes, half)]
+    sides = _sides(boxes, half)
+    if any(boxes.half[side].sum() != half for side in sides):
+        return None
+    u = directions[np.concatenate(sides)]
     w = np.roll(u, -1, axis=0)
     turns = np.arctan2(u[:, 0] * w[:, 1] - u[:, 1] * w[:, 0], (u * w).sum(axis=1))
     # NaN is not either.
@@ -40,11 +43,11 @@ def at_border(boxes: Boxes, half: float) -> BoolArray:
     return np.asarray(np.abs(boxes.centers).max(axis=1) + boxes.half == half)
 
 
-def _along_border(boxes: Boxes, half: float) -> IntArray:
-    """Returns the squares there, counter-clockwise; those in the corners come twice."""
+def _sides(boxes: Boxes, half: float) -> list[IntArray]:
+    """Returns the squares along each side, counter-clockwise; those in corners are on two."""
     x, y = boxes.centers.T
-    order = []
+    sides = []
     for outward, forward in ((-y, x), (x, y), (y, -x), (-x, -y)):
         side = np.flatnonzero(outward + boxes.half == half)
-        order.append(side[np.argsort(forward[side])])
-    return np.concatenate(order)
+        sides.append(side[np.argsort(forward[side])])
+    return sides

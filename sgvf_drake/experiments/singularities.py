@@ -57,12 +57,13 @@ def run_singularities(
             the derivatives that a proof needs.
     """
     path, kind = reference or choose_reference(field)
-    begin = time.perf_counter()
     with result_folder(out, SINGULARITIES_FILES, overwrite=overwrite) as folder:
+        # First, since it refuses some fields.
+        proved = {"proved": proved_summary(field)} if prove else {}
+        begin = time.perf_counter()
         found = find_singularities(field)
         vanishing = measure_vanishing(field, found, path)
         elapsed = time.perf_counter() - begin
-        proved = {"proved": proved_summary(field)} if prove else {}
         zeros = zero_rows(found, vanishing)
         zero_table(zeros).to_csv(folder / "zeros.csv", index=False)
         save_figure(singularity_figure(field, found), folder / "singularities.png")
