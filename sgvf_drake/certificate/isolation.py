@@ -20,8 +20,8 @@ NEWTON_STEPS = 6
 # A zero is looked for in a square larger by this factor, so that one on a side between two
 # squares is well inside of both.
 ENLARGED = 1.25
-# The half-side of an enclosure, in those that it has to have.
-MARGIN = 2.0
+# The half-side of an enclosure, in those that it has to have, for the rounding of that.
+WIDER = 2.0
 
 
 class PlanarMap(Protocol):
@@ -76,10 +76,15 @@ def may_be_isolated(m: TaylorModel) -> BoolArray:
     return (step < 2 * m.half) & (bend < 1)
 
 
-def isolate(function: PlanarMap, boxes: Boxes) -> Isolated:
+def isolate(function: PlanarMap, boxes: Boxes, margin: float) -> Isolated:
     """Looks for a zero that is the only one in each square, enlarged by `ENLARGED`.
 
     The square itself then holds that zero or none.
+
+    Args:
+        function: The functions.
+        boxes: The squares.
+        margin: An enclosure reaches farther by this than it has to.
     """
     half = ENLARGED * boxes.half
     points = _newton(function, boxes.centers)
@@ -87,7 +92,7 @@ def isolate(function: PlanarMap, boxes: Boxes) -> Isolated:
     A = _inverse(here.jacobian)
     step = np.maximum(*(_largest(here.weighted(row)) for row in _rows(A)))
     k = _contraction(function.dual(Boxes(boxes.centers, half)), A)
-    radius = MARGIN * step / (1 - k) + TINY
+    radius = WIDER * step / (1 - k) + margin
     reach = np.abs(points - boxes.centers).max(axis=1) + radius
     index = _sign_of_determinant(A)
     is_one = (k < 1) & ((1 + SLACK) * reach < half) & (index != 0)

@@ -113,12 +113,14 @@ def enclose_zeros(field: GuidingField, part: Part = "guiding") -> ZeroList:
             "zeros are enclosed of closed paths of smooth learned fields only"
         )
     function = _part_of(field, part)
-    found = _Vanishing(function, HALF_WIDTH).prove()
+    rounding = SLACK * (HALF_WIDTH + np.abs(field.cloud.center).max() / field.cloud.unit_length)
+    # Enclosures are as much wider as their centres and sides may move in the user's unit.
+    found = _Vanishing(function, HALF_WIDTH, 2 * rounding).prove()
     isolated, ambiguous = _distinct(found)
     corner = np.full(2, HALF_WIDTH)
     zeros = ZeroList(
         box=(field.cloud.denormalize(-corner), field.cloud.denormalize(corner)),
-        zeros=_described(field, function, isolated),
+        zeros=_described(field, function, isolated, rounding),
         undecided=len(found.undecided) + ambiguous,
         winding_number=proved_winding_number(
             found.boxes, found.facts[:, DIRECTION], HALF_WIDTH
@@ -162,10 +164,12 @@ class _Vanishing:
         function: m.
         half: Half-side of all that is searched.  At its border no zero is looked for, so that
             an enlarged square is inside, and m is known to point somewhere all along.
+        margin: See `isolate`.
     """
 
     function: PlanarMap
     half: float
+    margin: float
 
     def prove(self) -> Division:
         """Answers it over squares that cover everything."""
@@ -197,7 +201,7 @@ class _Vanishing:
 
     def _isolated(self, boxes: Boxes) -> FloatArray:
         """Returns the facts (n, 6) of squares near which a zero may be."""
-        found = isolate(self.function, boxes)
+        found = isolate(self.function, boxes, self.margin)
         nothing = np.full_like(boxes.centers, np.nan)
         facts = np.column_stack([nothing, found.points, found.radius, found.index])
         facts[~found.is_one] = np.nan
@@ -240,18 +244,15 @@ def _distinct(found: Division) -> tuple[FloatArray, int]:
 
 
 def _described(
-    field: GuidingField, function: PlanarMap, facts: FloatArray
+    field: GuidingField, function: PlanarMap, facts: FloatArray, rounding: float
 ) -> tuple[EnclosedZero, ...]:
     """Returns zeros in the unit of the waypoints, with their kinds."""
-    z, radius = facts[:, POINT], facts[:, RADIUS]
-    points, unit = field.cloud.denormalize(z), field.cloud.unit_length
-    # And by how much rounding moves the centre.
-    moved = np.abs(z).max(axis=1, initial=0) * unit + np.abs(field.cloud.center).max()
-    radius = (1 + SLACK) * radius * unit + SLACK * moved
-    kinds = _kinds(function.dual(Boxes(z, facts[:, RADIUS])), facts[:, INDEX])
+    z, half = facts[:, POINT], facts[:, RADIUS]
+    points, radius = field.cloud.denormalize(z), (half - rounding) * field.cloud.unit_length
+    kinds = _kinds(function.dual(Boxes(z, half)), facts[:, INDEX])
     return tuple(
-        EnclosedZero(point, float(half), int(index), *kind)
-        for point, half, index, kind in zip(points, radius, facts[:, INDEX], kinds, strict=True)
+        EnclosedZero(point, float(side), int(index), *kind)
+        for point, side, index, kind in zip(points, radius, facts[:, INDEX], kinds, strict=True)
     )
 
 
