@@ -12,6 +12,7 @@ from sgvf_drake.certificate.expansions import (
     SQUASH,
     find_expansion,
 )
+from sgvf_drake.certificate.mixture_dual import dual_mixture
 from sgvf_drake.certificate.mixture_model import MixtureModel
 from sgvf_drake.certificate.network_model import model_network
 from sgvf_drake.certificate.taylor_model import Differentiable, TaylorModel
@@ -56,10 +57,10 @@ def model_score(score: ScoreNetwork | GaussianMixture, boxes: Boxes) -> TaylorMo
 
 def has_dual(field: GuidingField) -> bool:
     """Whether `dual_field` bounds the derivatives of a field."""
-    if len(field.ends) or not isinstance(field.score_model, ScoreNetwork):
-        return False
-    networks = (field.tangent_network, field.score_model.network)
-    return all(
+    networks = [field.tangent_network]
+    if isinstance(field.score_model, ScoreNetwork):
+        networks.append(field.score_model.network)
+    return not len(field.ends) and all(
         isinstance(find_expansion(network.activation.name), Differentiable)
         for network in networks
     )
@@ -72,19 +73,17 @@ def dual_field(field: GuidingField, boxes: Boxes) -> DualModel:
         ConfigurationError: The field is of a kind whose derivatives nothing here bounds.
     """
     if not has_dual(field):
-        raise ConfigurationError("only derivatives of smooth learned fields are bounded")
+        raise ConfigurationError(
+            "only derivatives of smooth fields of closed paths are bounded"
+        )
     S = dual_score(field.score_model, boxes)
     return compose(field.composition, S, dual_network(field.tangent_network, boxes))
 
 
 def dual_score(score: ScoreNetwork | GaussianMixture, boxes: Boxes) -> DualModel:
-    """Returns the models of the raw score S and of its derivatives.
-
-    Raises:
-        ConfigurationError: It is not a smooth network.
-    """
+    """Returns the models of the raw score S and of its derivatives."""
     if isinstance(score, GaussianMixture):
-        raise ConfigurationError("the derivatives of a closed-form score are not bounded yet")
+        return dual_mixture(score, boxes)
     return dual_network(score.network.with_last_input(1.0), boxes).scaled(1 / score.scale)
 
 

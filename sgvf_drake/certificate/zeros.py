@@ -100,7 +100,7 @@ def enclose_zeros(field: GuidingField, part: Part = "guiding") -> ZeroList:
     """Encloses all zeros of a planar field in its box, with a proof that there are no others.
 
     Args:
-        field: The field, learned, with smooth activations.
+        field: The field, of closed paths, with smooth activations.
         part: Whose zeros: those of m, of the raw score or of the tangent network.
 
     Raises:
@@ -109,9 +109,7 @@ def enclose_zeros(field: GuidingField, part: Part = "guiding") -> ZeroList:
     if field.dim != 2:
         raise ConfigurationError(f"zeros are enclosed of planar fields, not in {field.dim}-D")
     if not has_dual(field):
-        raise ConfigurationError(
-            "zeros are enclosed of closed paths of smooth learned fields only"
-        )
+        raise ConfigurationError("zeros are enclosed of smooth fields of closed paths only")
     function = _part_of(field, part)
     rounding = SLACK * (HALF_WIDTH + np.abs(field.cloud.center).max() / field.cloud.unit_length)
     # Enclosures are as much wider as their centres and sides may move in the user's unit.

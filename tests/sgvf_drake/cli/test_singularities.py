@@ -38,6 +38,7 @@ def fields(tmp_path_factory, make_field):
         ("sparse", sparse),
         ("dense", ring_field(make_field, 400)),
         ("learned", learned),
+        ("open", make_field("robust", ends=1)),
         ("spatial", replace(make_field("robust", dim=3), seed=1)),
     ):
         field = replace(field, cloud=PointCloud(field.cloud.points))
@@ -102,7 +103,7 @@ def test_zeros_are_proved_on_request(run, fields, tmp_path, capsys):
 
 
 BAD = [
-    (("sparse", "--prove"), "zeros are enclosed of closed paths of smooth learned fields only"),
+    (("open", "--prove"), "zeros are enclosed of smooth fields of closed paths only"),
     (("spatial",), "singularities are found of planar fields, not in 3 dimensions"),
     (("sparse", "--columns", "x,y"), "--columns x,y chooses columns of --reference; give both"),
     (("sparse", "--reference", "no.csv"), "no.csv"),
