@@ -25,7 +25,7 @@ from sgvf_drake.fields import Field, GaussianMixture, GuidingField, load_field
 from sgvf_drake.paths import SHAPES, PointCloud, ReferencePath, make_shape, shape_path
 
 if TYPE_CHECKING:
-    from sgvf_drake.certificate import Certificate, certify
+    from sgvf_drake.certificate import Certificate, certify, enclose_zeros
     from sgvf_drake.learning import SelfCheck, TrainingConfig, TrainingResult, train
     from sgvf_drake.lyapunov import LyapunovFunction, find_singularities, verify
 
@@ -35,7 +35,7 @@ __version__ = "0.1.0"
 _LATER = {
     **dict.fromkeys(("SelfCheck", "TrainingConfig", "TrainingResult", "train"), "learning"),
     **dict.fromkeys(("LyapunovFunction", "find_singularities", "verify"), "lyapunov"),
-    **dict.fromkeys(("Certificate", "certify"), "certificate"),
+    **dict.fromkeys(("Certificate", "certify", "enclose_zeros"), "certificate"),
 }
 
 __all__ = [
@@ -57,6 +57,7 @@ __all__ = [
     "TrainingConfig",
     "TrainingResult",
     "certify",
+    "enclose_zeros",
     "find_singularities",
     "load_field",
     "make_shape",

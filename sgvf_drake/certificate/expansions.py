@@ -111,7 +111,56 @@ def _fall(y: FloatArray) -> Jet:
 
 SINE = Smooth(_sine, -1.0, 1.0, 1.0)
 COSINE = Smooth(_cosine, -1.0, 1.0, 1.0)
-FALL = Smooth(_fall, -2.378, 1.47, 12.0)
+
+
+def _or_flat(
+    found: Expansion, least: FloatArray, most: FloatArray, error: FloatArray | float
+) -> Expansion:
+    """Returns an expansion, or where it leaves more than the range is wide, the middle of that.
+
+    Args:
+        found: The expansion.
+        least: A lower bound of the function, but for rounding.
+        most: An upper bound.
+        error: What the two are off by, relative to the larger one.
+    """
+    rounding = 2 * error * np.maximum(np.abs(least), np.abs(most))
+    rest = (most - least) / 2 + rounding + TINY
+    flat = ~(found.rest <= rest) & np.isfinite(rest)
+    return Expansion(
+        np.where(flat, least + (most - least) / 2, found.value),
+        np.where(flat, 0.0, found.slope),
+        np.where(flat, 0.0, found.curvature),
+        np.where(flat, rest, found.rest),
+    )
+
+
+@dataclass(frozen=True)
+class Bell(Smooth):
+    """An even function between 0 and 1 that falls where u >= 0, and is convex where u >= 1.
+
+    Attributes:
+        steepest: The largest absolute value of its slope.
+    """
+
+    steepest: float = np.inf
+
+    def expand(self, u: FloatArray, low: FloatArray, high: FloatArray) -> Expansion:
+        """Returns the expansion; see `Univariate`."""
+        falls = low >= 0
+        least = np.where(falls, self.jet(high)[0], 0.0)
+        most = np.where(falls, self.jet(low)[0], 1.0)
+        return _or_flat(super().expand(u, low, high), least, most, FORMULA)
+
+    def expand_slope(self, u: FloatArray, low: FloatArray, high: FloatArray) -> Expansion:
+        """Returns the expansion of the derivative; see `Differentiable`."""
+        convex = low >= 1
+        least = np.where(convex, self.jet(low)[1], -self.steepest)
+        most = np.where(convex, self.jet(high)[1], np.where(low >= 0, 0.0, self.steepest))
+        return _or_flat(super().expand_slope(u, low, high), least, most, FORMULA)
+
+
+FALL = Bell(_fall, -2.378, 1.47, 12.0, steepest=1.0653)
 """1 / (1 + u^4)."""
 
 
@@ -169,8 +218,8 @@ class Convex:
 
     That of a completely monotone function does, and all here are: 1 / u and u^(-1/2) are;
     tanh(sqrt u) / sqrt u = sum_n 2 / (u + a_n^2) with a_n = (n - 1/2) pi, by the partial
-    fractions of tanh; and sech(sqrt u), the Laplace transform of the time at which a Brownian
-    motion leaves an interval.
+    fractions of tanh; sech(sqrt u), the Laplace transform of the time at which a Brownian
+    motion leaves an interval; and sqrt u / sinh(sqrt u), the product of 1 / (1 + u / (n pi)^2).
 
     Attributes:
         value_and_slope: The function and its derivative, right within `FORMULA` (1 + u) of
@@ -188,7 +237,9 @@ class Convex:
         curvature, bend = self._bend(u, low, high)
         rounding = FORMULA * (1 + u) * (np.abs(value) + np.abs(slope) * reach)
         rest = (1 + FORMULA) * reach**2 / 2 * bend
-        return Expansion(value, slope, curvature, rest + rounding + TINY)
+        found = Expansion(value, slope, curvature, rest + rounding + TINY)
+        least, most = self.value_and_slope(high)[0], self.value_and_slope(low)[0]
+        return _or_flat(found, least, most, FORMULA * (1 + high))
 
     def expand_slope(self, u: FloatArray, low: FloatArray, high: FloatArray) -> Expansion:
         """Returns the expansion of the derivative; see `Differentiable`."""
@@ -197,7 +248,9 @@ class Convex:
         curvature, bend = self._bend(u, low, high)
         rest = (1 + FORMULA) * reach * bend
         rounding = FORMULA * (1 + u) * np.abs(slope)
-        return Expansion(slope, curvature, np.zeros_like(u), rest + rounding + TINY)
+        found = Expansion(slope, curvature, np.zeros_like(u), rest + rounding + TINY)
+        least, most = self.value_and_slope(low)[1], self.value_and_slope(high)[1]
+        return _or_flat(found, least, most, FORMULA * (1 + high))
 
     def _bend(
         self, u: FloatArray, low: FloatArray, high: FloatArray
@@ -211,6 +264,8 @@ class Convex:
 
 # Below the first, u^(-5/2) could overflow; below the second, a bound by formula cancels.
 SMALLEST, SMALL = 1e-100, 1e-2
+# Beyond, sqrt u / sinh(sqrt u) is below `TINY`.
+LARGEST = 1e6
 # Partial fractions that are summed, and what the others come to at most: the terms fall, and
 # their sum is below the integral of 4 / (pi t)^6 from the last of them on.
 _POLES = (np.arange(1, 9) - 0.5) * np.pi
@@ -235,9 +290,7 @@ def _squash(u: FloatArray) -> tuple[FloatArray, FloatArray]:
     value, square = np.tanh(root) / root, _sech(root) ** 2
     # (sech^2 - tanh / root) / (2 u), which cancels near zero; there by the series of sinh.
     far = (square - value) / (2 * np.maximum(u, 1.0))
-    near = np.zeros_like(u)
-    for coefficient in reversed(_SINH_SERIES):
-        near = near * np.minimum(u, 1.0) + coefficient
+    near = _series(_SINH_SERIES, np.minimum(u, 1.0))
     return value, np.where(u < 1, -square * near, far)
 
 
@@ -270,6 +323,49 @@ def _sech(r: FloatArray) -> FloatArray:
     return 2 * decay / (1 + decay**2)
 
 
+# Of (r cosh r - sinh r) / r^3 and of sinh r / r, with u = r^2.
+_LANGEVIN_SERIES = tuple(2 * n / math.factorial(2 * n + 1) for n in range(1, 12))
+_SINHC_SERIES = tuple(1 / math.factorial(2 * n + 1) for n in range(12))
+# As above, of coth: the integral of 2 / (pi t)^4 from the eighth pole on.
+_COTH_POLES = np.arange(1, 9) * np.pi
+_COTH_OTHERS = 2 / (3 * np.pi**4 * 8.0**3)
+
+
+def _inverse_sinhc(u: FloatArray) -> tuple[FloatArray, FloatArray]:
+    # Far out, where the function underflows, infinity times zero is no number.
+    root = np.sqrt(np.clip(u, SMALLEST, LARGEST))
+    value = 2 * root * np.exp(-root) / -np.expm1(-2 * root)
+    return value, -0.5 * value * _langevin(u)
+
+
+def _inverse_sinhc_curvature(u: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(L^2 / 4 - L' / 2) times the function; L' by the poles, or from one on by a formula."""
+    value, L = _inverse_sinhc(u)[0], _langevin(u)
+    poles = -2 * (1 / (np.minimum(u, 1.0)[..., None] + _COTH_POLES**2) ** 2).sum(axis=-1)
+    far = np.maximum(u, 1.0)
+    most = np.where(u < 1, poles, (1 - value**2 - far * L) / (2 * far**2) + FORMULA)
+    least = np.where(u < 1, poles - _COTH_OTHERS, most - 2 * FORMULA)
+    # The exponential in the function is off by what its argument is.
+    off = FORMULA * (1 + u)
+    low, high = (value * (L**2 / 4 - end / 2) for end in (most, least))
+    return low - off * np.abs(low), high + off * np.abs(high)
+
+
+def _langevin(u: FloatArray) -> FloatArray:
+    """(r coth r - 1) / u, which cancels near zero; there by series."""
+    root = np.sqrt(np.maximum(u, 1.0))
+    far = (root / np.tanh(root) - 1) / np.maximum(u, 1.0)
+    near = np.minimum(u, 1.0)
+    return np.where(u < 1, _series(_LANGEVIN_SERIES, near) / _series(_SINHC_SERIES, near), far)
+
+
+def _series(coefficients: tuple[float, ...], u: FloatArray) -> FloatArray:
+    total = np.zeros_like(u)
+    for coefficient in reversed(coefficients):
+        total = total * u + coefficient
+    return total
+
+
 def _reciprocal(u: FloatArray) -> tuple[FloatArray, FloatArray]:
     value = 1 / np.maximum(u, SMALLEST)
     return value, -(value**2)
@@ -291,3 +387,6 @@ SQUASH = Convex(_squash, _squash_curvature)
 
 SECH_OF_ROOT = Convex(_sech_of_root, _sech_curvature)
 """sech(sqrt u)."""
+
+INVERSE_SINHC = Convex(_inverse_sinhc, _inverse_sinhc_curvature)
+"""sqrt u / sinh(sqrt u)."""

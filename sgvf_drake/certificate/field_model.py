@@ -7,10 +7,12 @@ from sgvf_drake.certificate.dual_model import DualModel, dual_network
 from sgvf_drake.certificate.expansions import (
     FALL,
     INVERSE_ROOT,
+    INVERSE_SINHC,
     SECH_OF_ROOT,
     SQUASH,
     find_expansion,
 )
+from sgvf_drake.certificate.mixture_dual import dual_mixture
 from sgvf_drake.certificate.mixture_model import MixtureModel
 from sgvf_drake.certificate.network_model import model_network
 from sgvf_drake.certificate.taylor_model import Differentiable, TaylorModel
@@ -55,10 +57,10 @@ def model_score(score: ScoreNetwork | GaussianMixture, boxes: Boxes) -> TaylorMo
 
 def has_dual(field: GuidingField) -> bool:
     """Whether `dual_field` bounds the derivatives of a field."""
-    if len(field.ends) or not isinstance(field.score_model, ScoreNetwork):
-        return False
-    networks = (field.tangent_network, field.score_model.network)
-    return all(
+    networks = [field.tangent_network]
+    if isinstance(field.score_model, ScoreNetwork):
+        networks.append(field.score_model.network)
+    return not len(field.ends) and all(
         isinstance(find_expansion(network.activation.name), Differentiable)
         for network in networks
     )
@@ -70,11 +72,19 @@ def dual_field(field: GuidingField, boxes: Boxes) -> DualModel:
     Raises:
         ConfigurationError: The field is of a kind whose derivatives nothing here bounds.
     """
-    if not has_dual(field) or not isinstance(field.score_model, ScoreNetwork):
-        raise ConfigurationError("only derivatives of smooth learned fields are bounded")
-    network, scale = field.score_model.network, field.score_model.scale
-    S = dual_network(network.with_last_input(1.0), boxes).scaled(1 / scale)
+    if not has_dual(field):
+        raise ConfigurationError(
+            "only derivatives of smooth fields of closed paths are bounded"
+        )
+    S = dual_score(field.score_model, boxes)
     return compose(field.composition, S, dual_network(field.tangent_network, boxes))
+
+
+def dual_score(score: ScoreNetwork | GaussianMixture, boxes: Boxes) -> DualModel:
+    """Returns the models of the raw score S and of its derivatives."""
+    if isinstance(score, GaussianMixture):
+        return dual_mixture(score, boxes)
+    return dual_network(score.network.with_last_input(1.0), boxes).scaled(1 / score.scale)
 
 
 Model = TypeVar("Model", TaylorModel, DualModel)
@@ -92,17 +102,40 @@ def compose(composition: Composition, S: Model, N: Model) -> Model:
     raise ConfigurationError(f"nothing bounds a {type(composition).__name__}")
 
 
+def simplify(composition: Composition, S: Model, N: Model) -> Model:
+    """Returns the models of m times a positive function: of the same zeros, of the same kinds.
+
+    In those of a robust field the score is not squashed.  tanh makes it a direction alone where
+    it is large, which turns around at once where it comes near zero.
+    """
+    match composition:
+        case NormalisedComposition(gain=gain):
+            return compose(PaperComposition(gain), S, N)
+        case RobustComposition(gain=gain) if gain > 0:
+            v = _direction(N, DIRECTION_SOFTENING)
+            normal = _normal(composition, S, v)
+            # sech over tanh(k r) / r.
+            ratio = normal.dot(normal).scaled(gain**2).apply(INVERSE_SINHC, least=0.0)
+            return normal + ratio.scaled(composition.tangent_share / gain) * v
+    return compose(composition, S, N)
+
+
 def _robust(composition: RobustComposition, S: Model, N: Model) -> Model:
     v = _direction(N, DIRECTION_SOFTENING)
-    normal = S
-    if composition.projects:
-        scale = (composition.sigma / PROJECTION_RANGE) ** 2
-        g = S.dot(S).scaled(scale).apply(FALL, least=0.0)
-        normal = S - (g * S.dot(v)) * v
+    normal = _normal(composition, S, v)
     square = normal.dot(normal).scaled(composition.gain**2)
     a = square.apply(SQUASH, least=0.0).scaled(composition.gain)
     b = square.apply(SECH_OF_ROOT, least=0.0).scaled(composition.tangent_share)
     return a * normal + b * v
+
+
+def _normal(composition: RobustComposition, S: Model, v: Model) -> Model:
+    """S', the score without its part along the tangent near the path."""
+    if not composition.projects:
+        return S
+    scale = (composition.sigma / PROJECTION_RANGE) ** 2
+    g = S.dot(S).scaled(scale).apply(FALL, least=0.0)
+    return S - (g * S.dot(v)) * v
 
 
 def _squashed(S: Model, gain: float) -> Model:

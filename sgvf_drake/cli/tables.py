@@ -175,6 +175,8 @@ def print_singularities(summary: Mapping[str, Any]) -> None:
         )
         for name, prefix in prefixes.items()
     }
+    for name, proof in summary.get("proved", {}).items():
+        rows[f"proved of the {name}"] = _proved(proof)
     rows["undecided places"] = str(summary["undecided"])
     claims = {
         "low_density": "score vanishes at low density",
@@ -185,6 +187,15 @@ def print_singularities(summary: Mapping[str, Any]) -> None:
     for claim, name in claims.items():
         rows[name] = _concentration(summary["vanishing"][claim])
     print_table("Singularities", rows)
+
+
+def _proved(proof: Mapping[str, Any]) -> str:
+    """Returns what is proved of the zeros of a field."""
+    count, undecided = len(proof["zeros"]), proof["undecided"]
+    others = "no others" if proof["complete"] else f"{undecided} squares undecided"
+    winding = proof["winding_number"]
+    turns = "winding number not proved" if winding is None else f"winding number {winding}"
+    return f"{count} enclosed, {others}; {turns}"
 
 
 def _kinds(zeros: Sequence[Mapping[str, Any]], field: str) -> str:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from sgvf_drake.certificate import ZeroList, enclose_zeros
 from sgvf_drake.experiments.figures.singularities import log_density_figure, singularity_figure
 from sgvf_drake.experiments.reference import choose_reference
 from sgvf_drake.experiments.results import (
@@ -36,6 +37,7 @@ def run_singularities(
     reference: tuple[Reference, str] | None,
     out: str | PathLike[str],
     *,
+    prove: bool = False,
     overwrite: bool = False,
 ) -> dict[str, Any]:
     """Finds the zeros of a field; leaves a table, two figures and the summary.
@@ -44,17 +46,21 @@ def run_singularities(
         field: The field, planar.
         reference: From `choose_reference`; None: the best there is without a file.
         out: The folder of the results.
+        prove: Whether to enclose the zeros too, with a proof that there are no others.
         overwrite: Whether results there may be replaced.
 
     Returns:
         The summary.
 
     Raises:
-        ConfigurationError: The field is not planar, or its zeros have no index.
+        ConfigurationError: The field is not planar, its zeros have no index, or nothing bounds
+            the derivatives that a proof needs.
     """
     path, kind = reference or choose_reference(field)
-    begin = time.perf_counter()
     with result_folder(out, SINGULARITIES_FILES, overwrite=overwrite) as folder:
+        # First, since it refuses some fields.
+        proved = {"proved": proved_summary(field)} if prove else {}
+        begin = time.perf_counter()
         found = find_singularities(field)
         vanishing = measure_vanishing(field, found, path)
         elapsed = time.perf_counter() - begin
@@ -66,6 +72,7 @@ def run_singularities(
             **singularity_summary(found),
             "vanishing": vanishing.summary(),
             "zeros": zeros,
+            **proved,
             "time_s": elapsed,
             "unit_length": field.cloud.unit_length,
             "reference": kind,
@@ -88,6 +95,37 @@ def singularity_summary(found: Singularities) -> dict[str, Any]:
         "undecided": sum(undecided.values()),
         "undecided_by_field": undecided,
         "cells": sum(zeros.cells for zeros in found.by_field.values()),
+        "box": found.box,
+    }
+
+
+def proved_summary(field: GuidingField) -> dict[str, Any]:
+    """Returns what is proved of the zeros of a field and of its parts, by their names."""
+    return {
+        "guiding": _proved(enclose_zeros(field)),
+        "score": _proved(enclose_zeros(field, "score")),
+        "tangent": _proved(enclose_zeros(field, "tangent")),
+    }
+
+
+def _proved(found: ZeroList) -> dict[str, Any]:
+    return {
+        "complete": found.complete,
+        "zeros": [
+            {
+                "x": zero.point[0],
+                "y": zero.point[1],
+                "radius": zero.radius,
+                "index": zero.index,
+                "kind": zero.kind,
+                "stable": zero.stable,
+            }
+            for zero in found.zeros
+        ],
+        "undecided": found.undecided,
+        "winding_number": found.winding_number,
+        "index_sum": found.index_sum,
+        "boxes": found.boxes,
         "box": found.box,
     }
 

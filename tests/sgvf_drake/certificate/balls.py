@@ -65,7 +65,17 @@ OF_A_SQUARE = {
     "inverse root": root_of(lambda r: 1 / r),
     "squash": root_of(lambda r: arb(1) if r == 0 else r.tanh() / r),
     "sech of root": root_of(lambda r: r.sech()),
+    "inverse sinhc": root_of(lambda r: arb(1) if r == 0 else r / r.sinh()),
 }
+"""A function of sqrt u, at u >= 0."""
+
+SLOPES_OF_A_SQUARE = {
+    "inverse root": root_of(lambda r: -1 / (2 * r**3)),
+    "squash": root_of(lambda r: (r.sech() ** 2 - r.tanh() / r) / (2 * r**2)),
+    "sech of root": root_of(lambda r: -r.sech() * r.tanh() / (2 * r)),
+    "inverse sinhc": root_of(lambda r: (1 - r * r.coth()) / (2 * r * r.sinh())),
+}
+"""Its derivative, by u, at u > 0."""
 
 
 def derivative(function, order, z):

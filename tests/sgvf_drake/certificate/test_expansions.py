@@ -13,6 +13,7 @@ from sgvf_drake.certificate.expansions import (
     COSINE,
     FALL,
     INVERSE_ROOT,
+    INVERSE_SINHC,
     SECH_OF_ROOT,
     SINE,
     SQUASH,
@@ -21,12 +22,17 @@ from sgvf_drake.certificate.expansions import (
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields.activation import ACTIVATIONS as ALL
 
-from .balls import FUNCTIONS, OF_A_SQUARE, derivative, rectified
+from .balls import FUNCTIONS, OF_A_SQUARE, SLOPES_OF_A_SQUARE, derivative, rectified
 
 SMOOTH = {name: ACTIVATIONS[name] for name in FUNCTIONS if name in ACTIVATIONS}
 SMOOTH |= {"sine": SINE, "cosine": COSINE, "fall": FALL}
 KINKED = {name: ACTIVATIONS[name] for name in ("ELU", "ReLU")}
-CONVEX = {"inverse root": INVERSE_ROOT, "squash": SQUASH, "sech of root": SECH_OF_ROOT}
+CONVEX = {
+    "inverse root": INVERSE_ROOT,
+    "squash": SQUASH,
+    "sech of root": SECH_OF_ROOT,
+    "inverse sinhc": INVERSE_SINHC,
+}
 
 anywhere = st.one_of(
     st.floats(-1e3, 1e3), st.floats(-6, 6), st.sampled_from([0.0, -0.0, 1e-300, 745.0, -745.0])
@@ -37,9 +43,9 @@ reaches = st.one_of(
 shares = st.one_of(st.floats(0, 1), st.sampled_from([0.0, 1.0]))
 
 
-def excess(expansion, function, u, low, high, at):
+def excess(expand, function, u, low, high, at):
     """How far the function is outside of its expansion at a point; at most zero."""
-    found = expansion.expand(*(np.array([[value]]) for value in (u, low, high)))
+    found = expand(*(np.array([[value]]) for value in (u, low, high)))
     parts = (found.value, found.slope, found.curvature, found.rest)
     value, slope, curvature, rest = (arb(float(part[0, 0])) for part in parts)
     t = arb(at) - arb(u)
@@ -58,7 +64,10 @@ def test_a_function_is_inside_of_its_expansion(name, u, reach, below, above, sha
     low, high = interval(u, reach, below, above)
     at = float(np.clip(low + share * (high - low), low, high))
     function = FUNCTIONS.get(name) or rectified(name)
-    assert excess((SMOOTH | KINKED)[name], function, u, low, high, at) <= 0
+    assert excess((SMOOTH | KINKED)[name].expand, function, u, low, high, at) <= 0
+    if name in SMOOTH:
+        slope = SMOOTH[name].expand_slope
+        assert excess(slope, lambda z: derivative(function, 1, z), u, low, high, at) <= 0
 
 
 @pytest.mark.parametrize("name", CONVEX)
@@ -77,14 +86,18 @@ def test_a_function_of_a_square_is_inside_of_its_expansion(
     least = 1e-14 if name == "inverse root" else 0.0
     low, high = interval(u, reach * u, below, above, least)
     at = float(np.clip(low + share * (high - low), low, high))
-    assert excess(CONVEX[name], OF_A_SQUARE[name], u, low, high, at) <= 0
+    assert excess(CONVEX[name].expand, OF_A_SQUARE[name], u, low, high, at) <= 0
+    # Nearer to zero the formulas of the slopes cancel, in balls too.
+    if at > 1e-20:
+        slope = CONVEX[name].expand_slope
+        assert excess(slope, SLOPES_OF_A_SQUARE[name], u, low, high, at) <= 0
 
 
-@pytest.mark.parametrize("name", ["squash", "sech of root"])
+@pytest.mark.parametrize("name", ["squash", "sech of root", "inverse sinhc"])
 def test_a_function_of_a_square_may_start_at_zero(name):
     for high in (0.0, 1e-20, 1e-3, 0.02, 0.5, 3.0, 1e4):
         for at in (0.0, high / 3, high):
-            assert excess(CONVEX[name], OF_A_SQUARE[name], 0.0, 0.0, high, at) <= 0
+            assert excess(CONVEX[name].expand, OF_A_SQUARE[name], 0.0, 0.0, high, at) <= 0
 
 
 def is_between(function, order, least, most, reach=40.0, narrowest=1e-7):
@@ -122,6 +135,22 @@ def test_the_constants_are_not_far_above(name):
     third = expansion.third
     assert not is_between(function, 3, -0.9 * third, 0.9 * third, narrowest=1e-3)
     assert not is_between(function, 2, expansion.least, 0.99 * expansion.most, narrowest=1e-3)
+
+
+def test_the_steepest_slope_of_the_bell_is_a_bound():
+    function = FUNCTIONS["fall"]
+    assert is_between(function, 1, -FALL.steepest, FALL.steepest)
+    assert not is_between(function, 1, -1.065, 1.065, narrowest=1e-3)
+
+
+@pytest.mark.parametrize("name", ["fall", *CONVEX])
+def test_over_a_wide_range_an_expansion_leaves_no_more_than_the_range(name):
+    """As of a square that the bounds of a score leave open: a parabola is far too much."""
+    expansion = (SMOOTH | CONVEX)[name]
+    low, u, high = (np.array([[value]]) for value in (4.0, 400.0, 900.0))
+    for expand in (expansion.expand, expansion.expand_slope):
+        ends = [expand(end, end, end).value for end in (low, high)]
+        assert expand(u, low, high).rest <= 0.51 * abs(ends[0] - ends[1])
 
 
 def test_every_activation_that_a_network_may_have_is_bounded():

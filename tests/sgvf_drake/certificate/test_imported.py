@@ -10,12 +10,12 @@ import json
 from flint import arb
 import numpy as np
 import pytest
+from sgvf_drake.certificate.inner import known_inner
 import torch
 from torch import nn
 
 from sgvf_drake import load_field
 from sgvf_drake.certificate import Certificate
-from sgvf_drake.certificate.inner import known_inner
 from sgvf_drake.certificate.mixture_model import mixture_of
 from sgvf_drake.certificate.proof import prove
 from sgvf_drake.cli import main

@@ -29,9 +29,16 @@ def fields(tmp_path_factory, make_field):
     """Files of a sparse ring, a dense ring and a spatial field, and the ring as a polyline."""
     folder = tmp_path_factory.mktemp("fields")
     sparse = ring_field(make_field, 100)
+    learned = replace(
+        make_field("paper"),
+        cloud=sparse.cloud,
+        tangent_network=Perceptron((TURN - 0.2 * np.eye(2),), (np.zeros(2),)),
+    )
     for name, field in (
         ("sparse", sparse),
         ("dense", ring_field(make_field, 400)),
+        ("learned", learned),
+        ("open", make_field("robust", ends=1)),
         ("spatial", replace(make_field("robust", dim=3), seed=1)),
     ):
         field = replace(field, cloud=PointCloud(field.cloud.points))
@@ -77,7 +84,26 @@ def test_a_line_of_zeros_is_told(run, fields, tmp_path, capsys):
     assert summary["reference"] == "cloud"
 
 
+def test_zeros_are_proved_on_request(run, fields, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert run("singularities", fields / "learned.safetensors", "--prove", "--out", out) == 0
+    words = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    assert "proved of the tangent 1 enclosed, no others; winding number 1" in words
+    proved = json.loads((out / "summary.json").read_text())["proved"]
+    assert list(proved) == ["guiding", "score", "tangent"]
+    for part in proved.values():
+        assert part["complete"]
+        assert part["undecided"] == 0
+        assert part["winding_number"] == part["index_sum"]
+        assert part["boxes"] > 1_000
+    (zero,) = proved["tangent"]["zeros"]
+    assert zero["index"] == 1
+    assert (zero["kind"], zero["stable"]) == ("focus", True)
+    assert np.abs([zero["x"], zero["y"]]).max() <= zero["radius"] < 1e-9
+
+
 BAD = [
+    (("open", "--prove"), "zeros are enclosed of smooth fields of closed paths only"),
     (("spatial",), "singularities are found of planar fields, not in 3 dimensions"),
     (("sparse", "--columns", "x,y"), "--columns x,y chooses columns of --reference; give both"),
     (("sparse", "--reference", "no.csv"), "no.csv"),

@@ -1,0 +1,145 @@
+"""Zeros of two functions over squares, shown to be none or one (Krawczyk's method).
+
+With a matrix A near the inverse of the Jacobian J, and lengths by the largest entry, z - A m(z)
+shrinks distances where |I - A J| <= k < 1 all over a square.  Then m is one to one on it, det J
+has one sign, and a part of it that reaches |A m(x)| / (1 - k) from x to all sides holds a zero.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from sgvf_drake.arrays import BoolArray, FloatArray, IntArray
+from sgvf_drake.certificate.boxes import Boxes
+from sgvf_drake.certificate.dual_model import DualModel
+from sgvf_drake.certificate.kernels import SLACK, TINY, TaylorModel
+
+# Newton's method doubles the digits in every step: enough for all of them.
+NEWTON_STEPS = 6
+# A zero is looked for in a square larger by this factor, so that one on a side between two
+# squares is well inside of both.
+ENLARGED = 1.25
+# The half-side of an enclosure, in those that it has to have, for the rounding of that.
+WIDER = 2.0
+
+
+class PlanarMap(Protocol):
+    """Two functions of the plane that can be bounded."""
+
+    def model(self, boxes: Boxes) -> TaylorModel:
+        """Returns their models, (n, 2)."""
+
+    def dual(self, boxes: Boxes) -> DualModel:
+        """Returns their models and those of their derivatives."""
+
+
+@dataclass(frozen=True, eq=False)
+class Isolated:
+    """What is known of zeros near n squares.
+
+    Attributes:
+        is_one: (n,) whether the enlarged square holds one zero and no other; all that follows
+            is said of those.
+        points: (n, 2) the centre of a small square that holds it.
+        radius: (n,) the half-side of that.
+        index: (n,) the index of the zero: the sign of det J.
+    """
+
+    is_one: BoolArray
+    points: FloatArray
+    radius: FloatArray
+    index: IntArray
+
+
+def directions_of(m: TaylorModel) -> FloatArray:
+    """Returns directions u (n, 2) with m . u > 0 all over each square; NaN: none is found.
+
+    That of m at the centre is tried, then the rows of the inverse Jacobian: where m is steep
+    across a line and flat along it, they point along the flat part.
+    """
+    rows = _inverse(m.jacobian)
+    found = np.full_like(m.value, np.nan)
+    for u in (m.value, rows[:, 0], rows[:, 1]):
+        along = m.weighted(u)
+        side = np.where(along.lower > 0, 1.0, np.where(along.upper < 0, -1.0, np.nan))
+        found = np.where(np.isnan(found), side * u, found)
+    return found
+
+
+def may_be_isolated(m: TaylorModel) -> BoolArray:
+    """Tells, by models over squares, on which (n,) it is worth while to `isolate`."""
+    A = _inverse(m.jacobian)
+    step = np.abs(A @ m.value[:, :, None]).max(axis=(1, 2))
+    change = 2 * m.half[:, None] * np.abs(m.quadratic).sum(axis=1)
+    bend = (np.abs(A) @ change[:, :, None]).max(axis=(1, 2))
+    return (step < 2 * m.half) & (bend < 1)
+
+
+def isolate(function: PlanarMap, boxes: Boxes, margin: float) -> Isolated:
+    """Looks for a zero that is the only one in each square, enlarged by `ENLARGED`.
+
+    The square itself then holds that zero or none.
+
+    Args:
+        function: The functions.
+        boxes: The squares.
+        margin: An enclosure reaches farther by this than it has to.
+    """
+    half = ENLARGED * boxes.half
+    points = _newton(function, boxes.centers)
+    here = function.model(Boxes(points, np.zeros(len(points))))
+    A = _inverse(here.jacobian)
+    step = np.maximum(*(_largest(here.weighted(row)) for row in _rows(A)))
+    k = _contraction(function.dual(Boxes(boxes.centers, half)), A)
+    radius = WIDER * step / (1 - k) + margin
+    reach = np.abs(points - boxes.centers).max(axis=1) + radius
+    index = _sign_of_determinant(A)
+    is_one = (k < 1) & ((1 + SLACK) * reach < half) & (index != 0)
+    return Isolated(is_one, points, radius, index)
+
+
+def _newton(function: PlanarMap, points: FloatArray) -> FloatArray:
+    """Returns where Newton's method leads from points (n, 2); not finite: nowhere."""
+    for _ in range(NEWTON_STEPS):
+        m = function.model(Boxes(points, np.zeros(len(points))))
+        points = points - (_inverse(m.jacobian) @ m.value[:, :, None])[:, :, 0]
+    return points
+
+
+def _contraction(m: DualModel, A: FloatArray) -> FloatArray:
+    """Returns a bound (n,) of |I - A J| over squares: the largest row sum."""
+    sums = []
+    for i, row in enumerate(_rows(A)):
+        entries = [slope.weighted(row) for slope in m.slopes]
+        entries[i] = entries[i].shifted(-1.0)
+        sums.append(_largest(entries[0]) + _largest(entries[1]))
+    return (1 + SLACK) * np.maximum(*sums)
+
+
+def _largest(m: TaylorModel) -> FloatArray:
+    """Returns bounds (n,) of the absolute value of one function."""
+    return np.maximum(np.abs(m.lower), np.abs(m.upper))[:, 0]
+
+
+def _rows(A: FloatArray) -> FloatArray:
+    """Returns the rows of matrices (n, 2, 2), (2, n, 2)."""
+    return np.moveaxis(A, 1, 0)
+
+
+def _inverse(jacobian: FloatArray) -> FloatArray:
+    """Returns the inverses (n, 2, 2), but for rounding, of Jacobians of models.
+
+    Their rows are those of the coordinates; entries that are not finite: there is none.
+    """
+    (a, c), (b, d) = np.moveaxis(jacobian, 0, 2)
+    adjugate = np.stack([np.stack([d, -b], axis=1), np.stack([-c, a], axis=1)], axis=1)
+    return adjugate / (a * d - b * c)[:, None, None]
+
+
+def _sign_of_determinant(A: FloatArray) -> IntArray:
+    """Returns the signs (n,) of the determinants; 0: rounding leaves it open."""
+    first, second = A[:, 0, 0] * A[:, 1, 1], A[:, 0, 1] * A[:, 1, 0]
+    error = SLACK * (np.abs(first) + np.abs(second)) + TINY
+    sign = np.where(np.abs(first - second) > error, np.sign(first - second), 0)
+    return sign.astype(np.intp)

@@ -1,0 +1,287 @@
+"""All zeros of a planar field in a square, proved: none is missed and none is told twice."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from sgvf_drake.arrays import BoolArray, FloatArray
+from sgvf_drake.certificate.boxes import Boxes
+from sgvf_drake.certificate.division import Answer, Division, divide
+from sgvf_drake.certificate.dual_model import DualModel, dual_network
+from sgvf_drake.certificate.field_model import (
+    dual_score,
+    has_dual,
+    model_score,
+    simplify,
+)
+from sgvf_drake.certificate.isolation import (
+    ENLARGED,
+    PlanarMap,
+    directions_of,
+    isolate,
+    may_be_isolated,
+)
+from sgvf_drake.certificate.kernels import SLACK
+from sgvf_drake.certificate.network_model import model_network
+from sgvf_drake.certificate.taylor_model import TaylorModel
+from sgvf_drake.certificate.turns import at_border, proved_winding_number
+from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.fields import GuidingField
+
+HALF_WIDTH = 5.125
+"""Half-side of the square that is searched, normalised units: the field's box, and more than
+rounding can change of it."""
+
+# Half-sides of the first squares, and of those that are divided further only where few of them
+# are left, as at a zero that is nearly double and not along a line of zeros; and of the last.
+FIRST, FINE, LAST = 2.0**-3, 2.0**-10, 2.0**-24
+MOST_FINE = 1_000
+
+# The facts of a square: a direction in which m points all over it, or the one zero near it, by
+# the centre and the half-side of an enclosure and its index.
+DIRECTION, POINT, RADIUS, INDEX = slice(0, 2), slice(2, 4), 4, 5
+
+PartName = Literal["guiding", "score", "tangent"]
+
+
+@dataclass(frozen=True, eq=False)
+class EnclosedZero:
+    """A zero of a planar field; all of this is proved.
+
+    Attributes:
+        point: (2,) the centre of a square that holds the zero and no other, in the unit of
+            the waypoints.
+        radius: Half-side of the square.
+        index: The Poincare index of the zero.
+        kind: `source`, `sink`, `saddle` or `focus`, as in `lyapunov.Zero`; `unknown`: bounds
+            do not tell.
+        stable: Whether the zero attracts all nearby; None: bounds do not tell.
+    """
+
+    point: FloatArray
+    radius: float
+    index: int
+    kind: str
+    stable: bool | None
+
+
+@dataclass(frozen=True, eq=False)
+class ZeroList:
+    """The zeros of a field in a square.
+
+    Attributes:
+        box: Lower and upper corner of the square, which holds the field's box.
+        zeros: The zeros, in squares that do not overlap.
+        undecided: Number of squares that may hold further zeros, or the same ones.
+        winding_number: How often the field turns along the border of the square,
+            counter-clockwise; None: this is not proved.
+        boxes: Number of squares over which the field was bounded.
+    """
+
+    box: tuple[FloatArray, FloatArray]
+    zeros: tuple[EnclosedZero, ...]
+    undecided: int
+    winding_number: int | None
+    boxes: int
+
+    @property
+    def complete(self) -> bool:
+        """Whether it is proved that there are no others."""
+        return self.undecided == 0
+
+    @property
+    def index_sum(self) -> int:
+        """The sum of the indices; of a complete list the winding number."""
+        return sum(zero.index for zero in self.zeros)
+
+
+def enclose_zeros(field: GuidingField, part: PartName = "guiding") -> ZeroList:
+    """Encloses all zeros of a planar field in its box, with a proof that there are no others.
+
+    Args:
+        field: The field, of closed paths, with smooth activations.
+        part: Whose zeros: those of m, of the raw score or of the tangent network.
+
+    Raises:
+        ConfigurationError: The field is not planar, or nothing bounds its derivatives.
+    """
+    if field.dim != 2:
+        raise ConfigurationError(f"zeros are enclosed of planar fields, not in {field.dim}-D")
+    if not has_dual(field):
+        raise ConfigurationError("zeros are enclosed of smooth fields of closed paths only")
+    function = _part_of(field, part)
+    rounding = SLACK * (HALF_WIDTH + np.abs(field.cloud.center).max() / field.cloud.unit_length)
+    # Enclosures are as much wider as their centres and sides may move in the user's unit.
+    found = _Vanishing(function, HALF_WIDTH, 2 * rounding).prove()
+    isolated, ambiguous = _distinct(found)
+    corner = np.full(2, HALF_WIDTH)
+    zeros = ZeroList(
+        box=(field.cloud.denormalize(-corner), field.cloud.denormalize(corner)),
+        zeros=_described(field, function, isolated, rounding),
+        undecided=len(found.undecided) + ambiguous,
+        winding_number=proved_winding_number(
+            found.boxes, found.facts[:, DIRECTION], HALF_WIDTH
+        ),
+        boxes=found.evaluated,
+    )
+    # Poincare and Hopf.
+    assert not zeros.complete or zeros.winding_number in (None, zeros.index_sum)
+    return zeros
+
+
+@dataclass(frozen=True, eq=False)
+class _Bounded:
+    """Two functions by what makes their models."""
+
+    model: Callable[[Boxes], TaylorModel]
+    dual: Callable[[Boxes], DualModel]
+
+
+def _part_of(field: GuidingField, part: PartName) -> PlanarMap:
+    """Returns a part of a field; of m, a positive multiple."""
+    score, network = field.score_model, field.tangent_network
+    S = _Bounded(
+        lambda boxes: model_score(score, boxes), lambda boxes: dual_score(score, boxes)
+    )
+    N = _Bounded(
+        lambda boxes: model_network(network, boxes), lambda boxes: dual_network(network, boxes)
+    )
+    m = _Bounded(
+        lambda boxes: simplify(field.composition, S.model(boxes), N.model(boxes)),
+        lambda boxes: simplify(field.composition, S.dual(boxes), N.dual(boxes)),
+    )
+    return {"guiding": m, "score": S, "tangent": N}[part]
+
+
+@dataclass(frozen=True, eq=False)
+class _Vanishing:
+    """The question where m vanishes: nowhere in a square, or at one point near it.
+
+    Attributes:
+        function: m.
+        half: Half-side of all that is searched.  At its border no zero is looked for, so that
+            an enlarged square is inside, and m is known to point somewhere all along.
+        margin: See `isolate`.
+    """
+
+    function: PlanarMap
+    half: float
+    margin: float
+
+    def prove(self) -> Division:
+        """Answers it over squares that cover everything."""
+        found = divide(_grid(self.half, FIRST), self._ask, _never, FINE)
+        if not 0 < len(found.undecided) <= MOST_FINE:
+            return found
+        finer = divide(found.undecided, self._ask, _never, LAST)
+        return Division(
+            boxes=Boxes(
+                np.concatenate([found.boxes.centers, finer.boxes.centers]),
+                np.concatenate([found.boxes.half, finer.boxes.half]),
+            ),
+            facts=np.concatenate([found.facts, finer.facts]),
+            evaluated=found.evaluated + finer.evaluated,
+            counterexample=None,
+            undecided=finer.undecided,
+        )
+
+    def _ask(self, boxes: Boxes) -> Answer:
+        facts = np.full((len(boxes), 6), np.nan)
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            m = self.function.model(boxes)
+            facts[:, DIRECTION] = directions_of(m)
+            asked = np.isnan(facts[:, 0]) & may_be_isolated(m) & ~at_border(boxes, self.half)
+            if asked.any():
+                facts[asked] = self._isolated(boxes[asked])
+        decided = ~np.isnan(facts[:, [0, INDEX]]).all(axis=1)
+        return Answer(decided, facts, len(boxes))
+
+    def _isolated(self, boxes: Boxes) -> FloatArray:
+        """Returns the facts (n, 6) of squares near which a zero may be."""
+        found = isolate(self.function, boxes, self.margin)
+        nothing = np.full_like(boxes.centers, np.nan)
+        facts = np.column_stack([nothing, found.points, found.radius, found.index])
+        facts[~found.is_one] = np.nan
+        return facts
+
+
+def _never(points: FloatArray) -> BoolArray:
+    """No point speaks against a list of zeros."""
+    return np.zeros(len(points), bool)
+
+
+def _grid(half: float, part: float) -> Boxes:
+    """Returns the squares of a half-side that a square around the origin is made of."""
+    middles = part * (2 * np.arange(round(half / part)) + 1) - half
+    centers = np.stack(np.meshgrid(middles, middles, indexing="ij"), axis=-1).reshape(-1, 2)
+    return Boxes(centers, np.full(len(centers), part))
+
+
+def _distinct(found: Division) -> tuple[FloatArray, int]:
+    """Returns the facts (k, 6) of different zeros, and how many may be another or the same.
+
+    Neighbours find the same zero: it is, where the enclosure of one is inside of the enlarged
+    square of the other, which holds one zero only.
+    """
+    rows = np.flatnonzero(~np.isnan(found.facts[:, INDEX]))
+    kept: list[int] = []
+    ambiguous = 0
+    for row in rows:
+        point, radius = found.facts[row, POINT], found.facts[row, RADIUS]
+        apart = np.abs(found.facts[kept, POINT] - point).max(axis=1)
+        from_center = np.abs(found.boxes.centers[kept] - point).max(axis=1)
+        clear = (1 + SLACK) * (from_center + radius) < ENLARGED * found.boxes.half[kept]
+        if clear.any():
+            continue
+        if (apart > (1 + SLACK) * (radius + found.facts[kept, RADIUS])).all():
+            kept.append(int(row))
+        else:
+            ambiguous += 1
+    return found.facts[kept], ambiguous
+
+
+def _described(
+    field: GuidingField, function: PlanarMap, facts: FloatArray, rounding: float
+) -> tuple[EnclosedZero, ...]:
+    """Returns zeros in the unit of the waypoints, with their kinds."""
+    z, half = facts[:, POINT], facts[:, RADIUS]
+    points, radius = field.cloud.denormalize(z), (half - rounding) * field.cloud.unit_length
+    kinds = _kinds(function.dual(Boxes(z, half)), facts[:, INDEX])
+    return tuple(
+        EnclosedZero(point, float(side), int(index), *kind)
+        for point, side, index, kind in zip(points, radius, facts[:, INDEX], kinds, strict=True)
+    )
+
+
+def _kinds(m: DualModel, indices: FloatArray) -> list[tuple[str, bool | None]]:
+    """Returns what zeros are and whether they are stable, by J on their enclosures."""
+    along_x, along_y = np.broadcast_to(np.eye(2)[:, None], (2, len(indices), 2))
+    (a, c), (b, d) = ((slope.weighted(along_x), slope.weighted(along_y)) for slope in m.slopes)
+    trace, difference = a + d, a - d
+    # Of lambda^2 - tr J lambda + det J.
+    discriminant = difference * difference + (b * c).scaled(4.0)
+    return [
+        ("saddle", False) if index < 0 else _kind(trace_side, discriminant_side)
+        for index, trace_side, discriminant_side in zip(
+            indices, _side(trace), _side(discriminant), strict=True
+        )
+    ]
+
+
+def _kind(trace: float, discriminant: float) -> tuple[str, bool | None]:
+    """Returns the kind of a zero of index one and its stability, by signs; 0: not known."""
+    if trace == 0:
+        return "unknown", None
+    stable = trace < 0
+    if discriminant == 0:
+        return "unknown", stable
+    if discriminant < 0:
+        return "focus", stable
+    return "sink" if stable else "source", stable
+
+
+def _side(function: TaylorModel) -> FloatArray:
+    """Returns the signs (n,) of one function over squares; 0: none is known."""
+    return np.where(function.lower > 0, 1.0, np.where(function.upper < 0, -1.0, 0.0))[:, 0]

@@ -1,0 +1,269 @@
+"""Lists of zeros that are proved: complete, of the right kinds, silent where they must be."""
+
+from dataclasses import replace
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+from scipy.optimize import fsolve
+
+from sgvf_drake.certificate import enclose_zeros
+from sgvf_drake.certificate.boxes import Boxes
+from sgvf_drake.certificate.division import Division
+from sgvf_drake.certificate.field_model import model_field, model_score, simplify
+from sgvf_drake.certificate.network_model import model_network
+from sgvf_drake.certificate.turns import proved_winding_number
+from sgvf_drake.certificate.zeros import HALF_WIDTH, _distinct, _grid
+from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.fields import NormalisedComposition, Perceptron
+from sgvf_drake.fields.activation import find_activation
+from sgvf_drake.lyapunov import find_guiding_zeros, winding_number
+from sgvf_drake.lyapunov.winding import box_corners
+
+TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
+# Squares of the first size have their corners there.
+CORNER = np.array([-0.125, 0.875])
+
+
+@pytest.fixture
+def with_tangent(make_field):
+    """Makes fields of a tangent network."""
+    return lambda network: replace(make_field("paper"), tangent_network=network)
+
+
+@pytest.fixture
+def linear(with_tangent):
+    """Makes fields whose tangent is matrix (z - point)."""
+
+    def make(matrix, point=(0.3, -0.7)):
+        matrix = np.asarray(matrix, float)
+        return with_tangent(Perceptron((matrix,), (-matrix @ np.asarray(point, float),)))
+
+    return make
+
+
+@pytest.fixture
+def parabola(with_tangent):
+    """Makes fields whose tangent is (x tanh(x / 2) - height, y)."""
+
+    def make(height):
+        # SiLU(u) + SiLU(-u) = u tanh(u / 2), and SiLU(u) - SiLU(-u) = u.
+        inner = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+        outer = np.array([[1.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, -1.0]])
+        biases = (np.zeros(4), np.array([-height, 0.0]))
+        return with_tangent(Perceptron((inner, outer), biases))
+
+    return make
+
+
+@pytest.mark.parametrize(
+    ("matrix", "kind", "stable", "index"),
+    [
+        (np.diag([1.0, 3.0]), "source", False, 1),
+        (np.diag([-1.0, -3.0]), "sink", True, 1),
+        (np.array([[0.0, 1.0], [1.0, 0.0]]), "saddle", False, -1),
+        (np.diag([-1.0, 1e-3]), "saddle", False, -1),
+        (TURN - 0.2 * np.eye(2), "focus", True, 1),
+        (TURN + 0.2 * np.eye(2), "focus", False, 1),
+        # Of these, any rounding makes something else.
+        (TURN, "unknown", None, 1),
+        (np.array([[-1.0, 1.0], [0.0, -1.0]]), "unknown", True, 1),
+    ],
+)
+def test_the_zero_of_a_linear_field(linear, matrix, kind, stable, index):
+    field = linear(matrix)
+    found = enclose_zeros(field, "tangent")
+    (zero,) = found.zeros
+    assert (zero.kind, zero.stable, zero.index) == (kind, stable, index)
+    assert (np.abs(zero.point - field.cloud.denormalize([0.3, -0.7])) <= zero.radius).all()
+    assert zero.radius < 1e-9
+    assert found.complete
+    assert found.winding_number == found.index_sum == index
+    for side, corner in zip((-1, 1), found.box, strict=True):
+        assert (side * (corner - field.cloud.box[side > 0]) > 0).all()
+
+
+def test_a_zero_in_the_corner_of_four_squares_is_one(linear):
+    found = enclose_zeros(linear(np.diag([1.0, -2.0]), CORNER), "tangent")
+    assert len(found.zeros) == 1
+    assert found.complete
+
+
+@pytest.mark.parametrize("matrix", [np.diag([1.0, 1.0]), TURN])
+def test_the_border_of_what_is_searched(linear, matrix):
+    inside, on, outside = (
+        enclose_zeros(linear(matrix, (HALF_WIDTH + beyond, 1.3)), "tangent")
+        for beyond in (-1e-3, 0.0, 1e-3)
+    )
+    assert (len(inside.zeros), inside.complete, inside.winding_number) == (1, True, 1)
+    assert (len(outside.zeros), outside.complete, outside.winding_number) == (0, True, 0)
+    assert (len(on.zeros), on.complete, on.winding_number) == (0, False, None)
+
+
+def test_two_zeros_that_are_close_are_two(parabola):
+    found = enclose_zeros(parabola(5e-9), "tangent")
+    assert sorted((zero.kind, zero.index) for zero in found.zeros) == [
+        ("saddle", -1),
+        ("source", 1),
+    ]
+    # x tanh(x / 2) is x^2 / 2 near zero.
+    x = np.array([parabola(0.0).cloud.normalize(zero.point)[0] for zero in found.zeros])
+    assert np.allclose(np.sort(x), [-1e-4, 1e-4], rtol=1e-6)
+    assert found.complete
+    assert found.winding_number == 0
+
+
+def test_where_they_have_met_and_gone_there_are_none(parabola):
+    found = enclose_zeros(parabola(-5e-9), "tangent")
+    assert found.zeros == ()
+    assert found.complete
+    assert found.winding_number == 0
+
+
+def test_a_double_zero_is_not_claimed(parabola):
+    found = enclose_zeros(parabola(0.0), "tangent")
+    assert found.zeros == ()
+    assert found.undecided > 0
+    assert not found.complete
+    # It is known from the border that the indices add up to zero.
+    assert found.winding_number == 0
+
+
+def test_a_line_of_zeros_is_left_undecided(linear):
+    found = enclose_zeros(linear([[1.0, 0.5], [1.0, 0.5]]), "tangent")
+    assert found.zeros == ()
+    assert found.undecided > 1_000
+    assert found.winding_number is None
+
+
+def normalised_roots(field, starts):
+    """Zeros of m, normalised, by Newton's method from many points."""
+
+    def m(z):
+        return field(field.cloud.denormalize(z))
+
+    roots = []
+    for start in starts:
+        root, info, status, _ = fsolve(m, start, full_output=True, xtol=1e-13)
+        if status == 1 and np.abs(info["fvec"]).max() < 1e-10:
+            roots.append(root)
+    return np.array(roots).reshape(-1, 2)
+
+
+@pytest.mark.parametrize("recipe", ["robust", "paper"])
+@settings(max_examples=4, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_no_zero_is_missed(make_field, recipe, seed):
+    rng = np.random.default_rng(seed)
+    field = make_field(recipe, seed=int(rng.integers(10_000)))
+    found = enclose_zeros(field)
+    roots = normalised_roots(field, rng.uniform(-HALF_WIDTH, HALF_WIDTH, (60, 2)))
+    roots = roots[np.abs(roots).max(axis=1) < HALF_WIDTH]
+    points = field.cloud.denormalize(roots)
+    held = np.zeros(len(points), bool)
+    for zero in found.zeros:
+        held |= np.abs(points - zero.point).max(axis=1) <= zero.radius + 1e-9
+    assert held.all() or not found.complete
+    if found.complete:
+        turned = winding_number(field, box_corners(found.box))
+        assert found.winding_number == turned == found.index_sum
+
+
+@pytest.mark.parametrize(
+    ("recipe", "seed"), [("robust", 1), ("paper", 1), ("paper", 5), ("exact", 4)]
+)
+def test_the_list_is_that_of_the_finder(make_field, recipe, seed):
+    """And complete; otherwise what is only said of complete lists would say nothing."""
+    field = make_field(recipe, seed=seed)
+    proved, found = enclose_zeros(field), find_guiding_zeros(field)
+    assert proved.complete
+    lower, upper = field.cloud.box
+    inside = [z for z in proved.zeros if (lower <= z.point).all() and (z.point <= upper).all()]
+    assert len(inside) == len(found.zeros) > 0
+    for zero in found.zeros:
+        (same,) = (
+            other
+            for other in proved.zeros
+            if np.abs(other.point - zero.point).max() <= other.radius + 1e-9
+        )
+        assert (same.index, same.kind, same.stable) == (zero.index, zero.kind, zero.stable)
+
+
+def test_a_direction_has_the_zeros_of_the_sum(make_field):
+    field = make_field("paper")
+    unit = replace(field, composition=NormalisedComposition(field.composition.gain))
+    zeros, same = (enclose_zeros(each).zeros for each in (field, unit))
+    assert [zero.point.tolist() for zero in zeros] == [zero.point.tolist() for zero in same]
+    assert [zero.kind for zero in zeros] == [zero.kind for zero in same]
+
+
+@pytest.mark.parametrize("recipe", ["robust", "paper"])
+def test_what_is_bounded_is_a_positive_multiple_of_m(make_field, recipe):
+    field = make_field(recipe)
+    boxes = Boxes(np.random.default_rng(3).uniform(-5, 5, (50, 2)), np.zeros(50))
+    S, N = model_score(field.score_model, boxes), model_network(field.tangent_network, boxes)
+    multiple, m = simplify(field.composition, S, N).value, model_field(field, boxes).value
+    cross = multiple[:, 0] * m[:, 1] - multiple[:, 1] * m[:, 0]
+    lengths = np.linalg.norm(multiple, axis=1) * np.linalg.norm(m, axis=1)
+    assert np.abs(cross).max() < 1e-12 * lengths.max()
+    assert ((multiple * m).sum(axis=1) > 0).all()
+
+
+def z_power(z, power):
+    w = (z[:, 0] + 1j * z[:, 1]) ** abs(power)
+    return np.column_stack([w.real, np.sign(power) * w.imag])
+
+
+@pytest.mark.parametrize("power", [-3, -1, 1, 2, 5])
+def test_directions_along_the_border_turn_by_the_winding_number(power):
+    boxes = _grid(2.0, 0.125)
+    directions = z_power(boxes.centers, power)
+    assert proved_winding_number(boxes, directions, 2.0) == power
+    # Any order of the squares, and what is inside, is the same.
+    mixed = np.random.default_rng(0).permutation(len(boxes))
+    inner = np.abs(boxes.centers).max(axis=1) < 1.8
+    directions[inner] = np.nan
+    shuffled = Boxes(boxes.centers[mixed], boxes.half[mixed])
+    assert proved_winding_number(shuffled, directions[mixed], 2.0) == power
+
+
+def test_a_border_with_a_gap_or_a_jump_has_no_winding_number():
+    boxes = _grid(2.0, 0.125)
+    here = np.flatnonzero(boxes.centers[:, 0] + 0.125 == 2.0)[3]
+    for entry in (np.full(2, np.nan), np.array([-1.0, -1e-3])):
+        directions = np.tile([1.0, 0.0], (len(boxes), 1))
+        directions[here] = entry
+        assert proved_winding_number(boxes, directions, 2.0) is None
+    directions[here] = [1.0, 0.0]
+    assert proved_winding_number(boxes, directions, 2.0) == 0
+    others = np.arange(len(boxes)) != here
+    assert proved_winding_number(boxes[others], directions[others], 2.0) is None
+
+
+def test_enclosures_of_one_zero_are_told_from_those_of_two():
+    def count(first, second, radius):
+        facts = np.full((2, 6), np.nan)
+        facts[:, 2:4], facts[:, 4], facts[:, 5] = (first, second), radius, 1
+        boxes = Boxes(np.array([[-1.0, 0.0], [1.0, 0.0]]), np.ones(2))
+        found = Division(boxes, facts, 2, None, boxes[:0])
+        zeros, ambiguous = _distinct(found)
+        return len(zeros), ambiguous
+
+    # The square of the first is enlarged to x = 0.25.
+    assert count((0.1, 0.0), (0.1, 0.0), 1e-3) == (1, 0)
+    assert count((0.1, 0.0), (0.3, 0.0), 1e-3) == (2, 0)
+    assert count((0.1, 0.0), (0.3, 0.0), 0.12) == (1, 1)
+
+
+def test_what_nothing_bounds_is_refused(make_field):
+    robust = make_field("robust")
+    kinked = replace(
+        robust,
+        tangent_network=replace(robust.tangent_network, activation=find_activation("ReLU")),
+    )
+    for field in (kinked, make_field("robust", ends=1)):
+        with pytest.raises(ConfigurationError, match="smooth fields of closed paths"):
+            enclose_zeros(field)
+    with pytest.raises(ConfigurationError, match="planar"):
+        enclose_zeros(make_field("robust", dim=3))
