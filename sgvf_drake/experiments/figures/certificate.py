@@ -48,8 +48,7 @@ def certificate_figure(
     columns = 3 if flights and found.sigma is not None else 2
     figure, axes = plotting.new_figure(1, columns, 6.2 * columns, 6.4)
     _plot_map(axes[0], field, found, field.cloud.box, flights)
-    title = "certified" if found.certified else "NOT certified"
-    axes[0].set_title(f"certified set and tube ({title})" if found.sigma else title)
+    axes[0].set_title("certified" if found.certified else "NOT certified")
     if columns == 3:
         _plot_map(axes[1], field, found, _entry_window(found, flights), flights)
         axes[1].set_title("where the first flight enters the tube")
@@ -125,12 +124,12 @@ def _plot_margin(axes: Axes, found: Certificate, flights: Sequence[FlightMargin]
 def _plot_errors(
     axes: Axes, levels: FloatArray, e_star: FloatArray, flights: Sequence[FlightMargin]
 ) -> None:
-    """Draws the errors of flights over V beside what is tolerated, both by logarithms."""
+    """Draws the errors of flights over V beside what is tolerated, on logarithmic axes."""
     axes.stairs(e_star, levels, fill=True, color="black", alpha=0.1)
     c_in, lowest = levels[0], LOWEST_V * levels[0]
     axes.fill_between([lowest, c_in], e_star[0], color=TUBE, alpha=0.2)
     axes.hlines(
-        e_star[0], lowest, c_in, color="black", linestyle="--", label="of the tube's border"
+        e_star[0], lowest, c_in, color="black", linestyle="--", label="e* of the tube's border"
     )
     for flight in flights:
         table, color = flight.table, _color(flight)
@@ -144,6 +143,15 @@ def _plot_errors(
             (flight.settled, "-", f"{name}, since then"),
         ):
             axes.plot(V[part], error[part], style, color=color, linewidth=1, label=label)
+    covering = [flight.summary()["covering_level"] for flight in flights]
+    if None not in covering:
+        axes.axvline(
+            max(covering),
+            color="black",
+            linestyle=":",
+            linewidth=1,
+            label="the first level that tolerates all errors in the tube",
+        )
     axes.set(
         yscale="log",
         xlim=(lowest, 1.5 * levels[-1]),
