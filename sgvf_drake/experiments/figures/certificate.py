@@ -19,6 +19,8 @@ from sgvf_drake.lyapunov import LyapunovFunction
 
 # Pixels along each side of the map, and level sets of V in the band.
 PIXELS, NUM_LEVELS = 401, 7
+# Small enough that a thin tube shows between them, in points.
+WAYPOINT_SIZE = 1.5
 # Half-side of the window that shows the tube from near, in half-widths of the tube.
 ZOOM_WIDTHS = 4.0
 FLIGHT_COLORS = (plotting.RED, plotting.BLUE, plotting.ORANGE)
@@ -67,7 +69,8 @@ def _plot_map(
     if found.sigma is not None:
         _plot_sets(axes, field, found, box)
         axes.legend(handles=_SETS, **(BELOW | {"ncols": 1}))
-    plotting.plot_waypoints(axes, field.cloud.points)
+    for dots in plotting.plot_waypoints(axes, field.cloud.points):
+        dots.set(markersize=WAYPOINT_SIZE)
     for flight in flights:
         x, y = flight.table["x"], flight.table["y"]
         axes.plot(x, y, color=_color(flight), linewidth=1.2)
@@ -91,6 +94,8 @@ def _plot_sets(
     V = function(points).reshape(PIXELS, PIXELS)
     axes.contourf(x, y, V, [c_in, c_out], colors=[FALLS], alpha=0.7)
     axes.contourf(x, y, V, [-1, c_in], colors=[TUBE], alpha=0.8)
+    # On the map a tube may be thinner than a pixel.
+    axes.contour(x, y, V, [c_in], colors=[TUBE], linewidths=1.0)
     levels = np.geomspace(c_in, c_out, NUM_LEVELS)
     axes.contour(x, y, V, levels, colors=[LEVELS], linewidths=0.6)
 

@@ -190,9 +190,11 @@ def test_the_figure_holds_the_flight_and_its_error(certified, flown):
     entry = margin.table[margin.settled].iloc[0]
     assert near.get_xlim()[0] < entry["x"] < near.get_xlim()[1]
     assert near.get_ylim()[0] < entry["y"] < near.get_ylim()[1]
-    drawn = np.concatenate([line.get_ydata() for line in errors.get_lines()])
+    *parts, covering = errors.get_lines()
+    drawn = np.concatenate([line.get_ydata() for line in parts])
     assert len(drawn) == len(margin.table)
     assert drawn.max() == pytest.approx(1.0, abs=0.01)
+    assert covering.get_xdata()[0] == margin.summary()["covering_level"]
     alone = certificate_figure(certified.field, certified.certificate)
     assert len(alone.axes) == 2
 
