@@ -25,15 +25,24 @@ def certify(
         Path | None,
         typer.Option("--check", help="A certificate to prove anew, without a search."),
     ] = None,
+    speed: Annotated[
+        float | None,
+        typer.Option(help="Certify the field as sgvf fly flies it at this speed, m/s."),
+    ] = None,
+    scale: Annotated[
+        float, typer.Option(help="With --speed: metres in one unit of the waypoints.")
+    ] = 1.0,
     reference: ReferenceFile = None,
     columns: ReferenceColumns = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Prove that robots follow a field along its path; exit 1 where that is not proved."""
     from sgvf_drake.certificate import Certificate
-    from sgvf_drake.experiments import choose_path, open_field, run_certify
+    from sgvf_drake.experiments import as_flown, choose_path, open_field, run_certify
 
     loaded = open_field(field)
+    if speed is not None:
+        loaded = as_flown(loaded, speed, scale)
     path = choose_path(loaded, reference, columns_of(columns, reference, "--reference"))
     certificate = None if claimed is None else Certificate.load(claimed)
     with progress() as report:

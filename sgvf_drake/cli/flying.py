@@ -46,7 +46,15 @@ def fly(
     ] = False,
     tube: Annotated[
         Path | None,
-        typer.Option(help="Results of sgvf verify, whose tube --html and --meshcat show."),
+        typer.Option(
+            help="Results of sgvf verify or certify, whose tube --html and --meshcat show."
+        ),
+    ] = None,
+    certificate: Annotated[
+        Path | None,
+        typer.Option(
+            help="Results of sgvf certify: is the velocity error inside of the proved margin?"
+        ),
     ] = None,
     reference: ReferenceFile = None,
     columns: ReferenceColumns = None,
@@ -54,6 +62,7 @@ def fly(
 ) -> None:
     """Fly Drake's quadrotor along every piece of the path, or from piece to piece."""
     from sgvf_drake.experiments import (
+        CertifiedField,
         choose_reference,
         open_field,
         run_fly,
@@ -63,6 +72,10 @@ def fly(
     from systems import SensorParameters
 
     pieces = None if tour is None else _pieces_of(tour)
+    if tour is not None and certificate is not None:
+        raise ConfigurationError(
+            f"--certificate {certificate} says nothing of a tour: transfers leave the field"
+        )
     # Drake tells on its own where every Meshcat listens.
     logging.getLogger("drake").setLevel(logging.WARNING)
     loaded = open_field(field)
@@ -74,11 +87,13 @@ def fly(
         "altitude": altitude,
         "sensors": SensorParameters() if sensors else None,
         "seed": seed,
-        "view": _view(loaded, scale, html, meshcat, tube),
         "overwrite": overwrite,
     }
     if laps is not None:
         options["laps"] = laps
+    if certificate is not None:
+        options["certified"] = CertifiedField.open(loaded, certificate, speed, scale)
+    options["view"] = _view(loaded, scale, speed, html, meshcat, tube, certificate)
     metric, chosen = loaded.rescaled(scale), (scale_reference(path, scale), kind)
     with progress() as report:
         options["progress"] = report
@@ -101,14 +116,28 @@ def _pieces_of(tour: str) -> list[int]:
         raise ConfigurationError(f"--tour {tour} is no list of pieces, as 1,2,1 is") from None
 
 
-def _view(loaded: Any, scale: float, html: bool, meshcat: bool, tube: Path | None) -> Any:
-    """Returns how the flights are watched, and tells where."""
+def _view(
+    loaded: Any,
+    scale: float,
+    speed: float,
+    html: bool,
+    meshcat: bool,
+    tube: Path | None,
+    certificate: Path | None,
+) -> Any:
+    """Returns how the flights are watched, and tells where.
+
+    Where no tube is given, that of a certificate is shown.
+    """
     from sgvf_drake.experiments import View, tube_curves
     from systems import MakeMeshcat
 
     if tube is not None and not (html or meshcat):
         raise ConfigurationError(f"--tube {tube} is shown by --html or --meshcat; give one")
-    curves = () if tube is None else tube_curves(loaded, tube, scale)
+    results = tube or certificate
+    curves: Any = ()
+    if results is not None and (html or meshcat):
+        curves = tube_curves(loaded, results, scale, speed)
     viewer = MakeMeshcat() if meshcat else None
     if viewer is not None:
         console.print(f"watch it at {viewer.web_url()}", highlight=False)

@@ -124,6 +124,21 @@ def print_flight(summary: Mapping[str, Any]) -> None:
         )
     console.print(f"acceleration {demand:.2f} of {limit:.1f} m/s^2: {verdict}", highlight=False)
     console.print(table)
+    if "certificate" in summary:
+        console.print(_margin(summary["certificate"]), highlight=False)
+
+
+def _margin(found: Mapping[str, Any]) -> str:
+    """Returns what a certificate says of flights, in words."""
+    if found["error_max"] is None:
+        return "velocity error: NOT inside of the certified margin; not every flight settled"
+    verdict = "inside of" if found["inside_margin"] else "NOT inside of"
+    level = found["covering_level"]
+    covered = "no level of the band" if level is None else f"the level V = {level:.3g}"
+    return (
+        f"velocity error, in the tube: up to {found['error_max']:.3g} of the speed, {verdict} "
+        f"the margin {found['e_star_tube']:.3g} of its border; {covered} tolerates it"
+    )
 
 
 def print_tour(summary: Mapping[str, Any]) -> None:

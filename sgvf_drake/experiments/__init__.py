@@ -1,5 +1,6 @@
 """Experiments: what the commands run, each as a Drake simulation with its results."""
 
+from sgvf_drake.experiments.certified import CertifiedField, as_flown
 from sgvf_drake.experiments.certify import run_certify
 from sgvf_drake.experiments.demo import run_demo
 from sgvf_drake.experiments.feasibility import check_feasibility
@@ -15,6 +16,7 @@ from sgvf_drake.experiments.flight_log import flight_log
 from sgvf_drake.experiments.fly import FlightResult, fly
 from sgvf_drake.experiments.follow import FollowResult, follow
 from sgvf_drake.experiments.importing import run_import
+from sgvf_drake.experiments.margin import FlightMargin, flight_margin
 from sgvf_drake.experiments.reference import choose_reference, scale_reference
 from sgvf_drake.experiments.reproduce import run_reproduce
 from sgvf_drake.experiments.running import run_scenario
@@ -33,17 +35,21 @@ from sgvf_drake.experiments.tube import tube_curves
 from sgvf_drake.experiments.verify import check_theorem, choose_path, run_verify
 
 __all__ = [
+    "CertifiedField",
+    "FlightMargin",
     "FlightResult",
     "FlightScene",
     "FollowResult",
     "Scenario",
     "TourResult",
     "View",
+    "as_flown",
     "check_feasibility",
     "check_theorem",
     "choose_path",
     "choose_reference",
     "flight_log",
+    "flight_margin",
     "flight_tracking",
     "fly",
     "fly_tour",

@@ -6,6 +6,7 @@ import time
 from typing import Any
 
 from sgvf_drake.certificate import Certificate, certify, check
+from sgvf_drake.experiments.certified import CERTIFICATE, CERTIFICATE_FIGURE
 from sgvf_drake.experiments.figures.certificate import certificate_figure
 from sgvf_drake.experiments.results import (
     SUMMARY,
@@ -19,8 +20,7 @@ from sgvf_drake.fields import GuidingField
 from sgvf_drake.paths import Reference
 from sgvf_drake.progress import Progress, no_progress
 
-CERTIFICATE = "certificate.json"
-CERTIFY_FILES = (SUMMARY, CERTIFICATE, "certificate.png")
+CERTIFY_FILES = (SUMMARY, CERTIFICATE, CERTIFICATE_FIGURE)
 
 
 def run_certify(
@@ -59,7 +59,7 @@ def run_certify(
             found = check(claimed, field, path)
         elapsed, cpu_time = time.perf_counter() - begin, time.process_time() - cpu
         found.save(folder / CERTIFICATE)
-        save_figure(certificate_figure(field, found), folder / "certificate.png")
+        save_figure(certificate_figure(field, found), folder / CERTIFICATE_FIGURE)
         summary = {
             **certificate_summary(found),
             "checked": claimed is not None,

@@ -7,8 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from sgvf_drake.experiments import figures
+from sgvf_drake.experiments.certified import CERTIFICATE_FIGURE, CertifiedField
+from sgvf_drake.experiments.figures.certificate import certificate_figure
 from sgvf_drake.experiments.fly import fly
 from sgvf_drake.experiments.follow import follow
+from sgvf_drake.experiments.margin import flight_margin, margin_summary
 from sgvf_drake.experiments.reference import choose_reference
 from sgvf_drake.experiments.results import (
     SUMMARY,
@@ -165,6 +168,7 @@ def run_fly(
     sensors: SensorParameters | None = None,
     seed: int = 0,
     view: View = NO_VIEW,
+    certified: CertifiedField | None = None,
     overwrite: bool = False,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
@@ -180,6 +184,8 @@ def run_fly(
         sensors: Noise, delay and rates of the measurements; None: they are ideal.
         seed: Of their noise.
         view: How the flights are watched; with pages, there is one for each piece.
+        certified: What the velocity error is held against; adds a figure, and a block of the
+            summary.  None: nothing is proved of the field.
         overwrite: Whether results there may be replaced.
         progress: Told how far each simulation is.
 
@@ -189,7 +195,9 @@ def run_fly(
     path, kind = reference or choose_reference(field)
     pieces = range(1, 1 + len(path.lengths))
     names = [f"flight_{n}.{suffix}" for n in pieces for suffix in ("png", "parquet", "html")]
-    with result_folder(out, (SUMMARY, *names), overwrite=overwrite) as folder:
+    with result_folder(
+        out, (SUMMARY, CERTIFICATE_FIGURE, *names), overwrite=overwrite
+    ) as folder:
         result = fly(
             field,
             path,
@@ -213,6 +221,11 @@ def run_fly(
             "sensors": _sensor_summary(sensors, seed),
             **origin(field),
         }
+        if certified is not None:
+            margins = [flight_margin(certified, flight, speed) for flight in result.flights]
+            figure = certificate_figure(certified.field, certified.certificate, margins)
+            save_figure(figure, folder / CERTIFICATE_FIGURE)
+            summary["certificate"] = margin_summary(margins)
         write_summary(folder, summary)
     return summary
 

@@ -1,4 +1,4 @@
-"""The tube about a path that a verification left behind, as curves to draw."""
+"""The tube about a path that a verification or a certificate left behind, as curves to draw."""
 
 from collections.abc import Sequence
 import json
@@ -8,28 +8,53 @@ from typing import Any
 from contourpy import contour_generator
 import numpy as np
 
+from sgvf_drake.arrays import BoolArray
 from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.experiments.certified import CertifiedField, certificate_file
 from sgvf_drake.experiments.results import SUMMARY
 from sgvf_drake.fields import FloatArray, GuidingField
 from sgvf_drake.lyapunov import LyapunovFunction
 
 # Cells of the raster on which the level curves are followed, along each axis of the box.
 CELLS = 600
+# A tube takes at least so many of them from the path to its border; those near a thinner one
+# are divided, into at most so many along each side.
+CELLS_TO_BORDER = 4
+FINEST = 8
+TINY = np.finfo(np.float64).tiny
 
 
 def tube_curves(
-    field: GuidingField, verified: str | Path, scale: float = 1.0
+    field: GuidingField, results: str | Path, scale: float = 1.0, speed: float = 0.45
 ) -> Sequence[FloatArray]:
     """Returns the border of the tube {V <= c_in} as polylines in metres, (k, 2) each.
 
     Args:
         field: The planar field, in the unit of its waypoints.
-        verified: The folder that `sgvf verify` left, with or without the same scale.
+        results: The folder that `sgvf verify` left, with or without the same scale; or the
+            one of `sgvf certify`, or its certificate.
         scale: Metres in one unit of the waypoints.
+        speed: Of the flight, m/s: a certificate may be that of the field as it is flown.
 
     Raises:
-        ConfigurationError: There is no verification of this field, or it found no tube.
+        ConfigurationError: There is neither of this field, or it found no tube.
     """
+    if certificate_file(results) is not None:
+        return certified_tube(CertifiedField.open(field, results, speed, scale))
+    return _verified_tube(field, results, scale)
+
+
+def certified_tube(certified: CertifiedField) -> Sequence[FloatArray]:
+    """Returns the border of the proved tube as polylines (k, 2) each, in metres."""
+    conditions = certified.certificate.conditions
+    assert conditions is not None
+    metric = certified.field.rescaled(certified.scale)
+    return level_curves(metric, conditions.sigma * metric.cloud.unit_length, conditions.c_in)
+
+
+def _verified_tube(
+    field: GuidingField, verified: str | Path, scale: float
+) -> Sequence[FloatArray]:
     summary = _read(Path(verified) / SUMMARY)
     try:
         known = (summary["digest"], summary["recipe"], summary["seed"])
@@ -50,10 +75,49 @@ def level_curves(field: GuidingField, sigma: float, level: float) -> Sequence[Fl
     if field.dim != 2:
         raise ConfigurationError(f"a tube is drawn of planar fields, not in {field.dim}-D")
     lower, upper = field.cloud.box
-    x, y = (np.linspace(a, b, CELLS + 1) for a, b in zip(lower, upper, strict=True))
-    grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    V = LyapunovFunction.of(field, sigma)(grid).reshape(len(y), len(x))
-    return [np.asarray(line) for line in contour_generator(x, y, V).lines(level)]
+    V = LyapunovFunction.of(field, sigma)
+    x, y, values = _raster(V, lower, upper, CELLS)
+    cell = float((upper - lower).max()) / CELLS
+    # V is about r^2 / 2 sigma^2 at a distance r from the path.
+    finer = int(np.ceil(CELLS_TO_BORDER * cell / (sigma * np.sqrt(2 * max(level, TINY)))))
+    if finer > 1:
+        near = _cells_near(values, np.sqrt(max(level, 0.0)) + cell / (2 * sigma))
+        finer = min(finer, FINEST)
+        x, y, values = _raster(V, lower, upper, CELLS * finer, _vertices(near, finer))
+    return [np.asarray(line) for line in contour_generator(x, y, values).lines(level)]
+
+
+def _raster(
+    V: LyapunovFunction,
+    lower: FloatArray,
+    upper: FloatArray,
+    cells: int,
+    wanted: BoolArray | None = None,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Returns the axes of a raster and V on it; infinite where it is not wanted."""
+    x, y = (np.linspace(a, b, cells + 1) for a, b in zip(lower, upper, strict=True))
+    if wanted is None:
+        wanted = np.ones((cells + 1, cells + 1), bool)
+    rows, columns = np.nonzero(wanted)
+    values = np.full(wanted.shape, np.inf)
+    values[rows, columns] = V(np.column_stack([x[columns], y[rows]]))
+    return x, y, values
+
+
+def _cells_near(values: FloatArray, root: float) -> BoolArray:
+    """Returns which cells have a corner with V <= root^2.
+
+    V is at most (sqrt(V') + r / sqrt(2) sigma)^2 at a distance r from where it is V', since its
+    Hessian is at most I / sigma^2: so no cell that the level reaches into is left out.
+    """
+    low = values <= root**2
+    return low[:-1, :-1] | low[1:, :-1] | low[:-1, 1:] | low[1:, 1:]
+
+
+def _vertices(cells: BoolArray, finer: int) -> BoolArray:
+    """Returns which vertices of a finer raster lie in cells of a coarser one."""
+    inside = np.pad(cells.repeat(finer, axis=0).repeat(finer, axis=1), 1)
+    return inside[:-1, :-1] | inside[1:, :-1] | inside[:-1, 1:] | inside[1:, 1:]
 
 
 def _read(path: Path) -> Any:

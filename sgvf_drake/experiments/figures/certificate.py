@@ -1,61 +1,189 @@
-"""The figure of a certificate: the set, the tube in it, and what the levels tolerate."""
+"""The figure of a certificate: the set, the tube, what the levels tolerate, and flights."""
+
+from collections.abc import Sequence
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 import numpy as np
+from scipy import ndimage
 
 from sgvf_drake import plotting
-from sgvf_drake.certificate import Certificate
+from sgvf_drake.arrays import FloatArray
+from sgvf_drake.certificate import Certificate, Part
 from sgvf_drake.experiments.figures.verification import BELOW, FALLS, LEVELS, TUBE
+from sgvf_drake.experiments.fly import TAKE_OFF_S
+from sgvf_drake.experiments.margin import FlightMargin
 from sgvf_drake.fields import GaussianMixture, GuidingField
 from sgvf_drake.lyapunov import LyapunovFunction
 
 # Pixels along each side of the map, and level sets of V in the band.
 PIXELS, NUM_LEVELS = 401, 7
+# Small enough that a thin tube shows between them, in points.
+WAYPOINT_SIZE = 1.5
+# Half-side of the window that shows the tube from near, in half-widths of the tube.
+ZOOM_WIDTHS = 4.0
+FLIGHT_COLORS = (plotting.RED, plotting.BLUE, plotting.ORANGE)
+# Below these V and errors are not told apart: as parts of c_in, and of the speed.
+LOWEST_V, LOWEST_ERROR = 1e-2, 1e-3
+
+_SETS = [
+    Patch(color=FALLS, label="every robot from here enters the tube"),
+    Patch(color=TUBE, label="the tube, with a closed orbit around each hole"),
+    Line2D([], [], color=LEVELS, label="level sets of V"),
+]
 
 
-def certificate_figure(field: GuidingField, found: Certificate) -> Figure:
-    """Returns a map of the certified set with the field, and e* over the levels."""
-    figure, axes = plotting.new_figure(1, 2, 12.5, 6.4)
-    plotting.plot_field(axes[0], field, field.cloud.box)
-    if found.sigma is not None:
-        _plot_sets(axes[0], field, found)
-    plotting.plot_waypoints(axes[0], field.cloud.points)
-    if found.counterexample is not None:
-        axes[0].plot(*found.counterexample, "X", color=plotting.RED, markersize=9)
-    title = "certified" if found.certified else "NOT certified"
-    plotting.plane_axes(axes[0], "unit of the waypoints", title)
-    _plot_margin(axes[1], found)
+def certificate_figure(
+    field: GuidingField, found: Certificate, flights: Sequence[FlightMargin] = ()
+) -> Figure:
+    """Returns a map of the certified set with the field, and e* over the levels.
+
+    With flights, they are drawn on the map, their velocity errors over V beside e*, and the
+    place where the first of them enters the tube stands between, from near.
+
+    Args:
+        field: In the unit of its waypoints.
+        found: What is proved of it.
+        flights: In the field, one a piece.
+    """
+    columns = 3 if flights and found.sigma is not None else 2
+    figure, axes = plotting.new_figure(1, columns, 6.2 * columns, 6.4)
+    _plot_map(axes[0], field, found, field.cloud.box, flights)
+    axes[0].set_title("certified" if found.certified else "NOT certified")
+    if columns == 3:
+        _plot_map(axes[1], field, found, _entry_window(found, flights), flights)
+        axes[1].set_title("where the first flight enters the tube")
+    _plot_margin(axes[-1], found, flights)
     return figure
 
 
-def _plot_sets(axes: Axes, field: GuidingField, found: Certificate) -> None:
+def _plot_map(
+    axes: Axes,
+    field: GuidingField,
+    found: Certificate,
+    box: tuple[FloatArray, FloatArray],
+    flights: Sequence[FlightMargin],
+) -> None:
+    plotting.plot_field(axes, field, box)
+    if found.sigma is not None:
+        _plot_sets(axes, field, found, box)
+        axes.legend(handles=_SETS, **(BELOW | {"ncols": 1}))
+    for dots in plotting.plot_waypoints(axes, field.cloud.points):
+        dots.set(markersize=WAYPOINT_SIZE)
+    for flight in flights:
+        x, y = flight.table["x"], flight.table["y"]
+        axes.plot(x, y, color=_color(flight), linewidth=1.2)
+        axes.plot(x.iloc[0], y.iloc[0], "o", color=_color(flight), markersize=5)
+    if found.counterexample is not None:
+        axes.plot(*found.counterexample, "X", color=plotting.RED, markersize=9)
+    plotting.plane_axes(axes, "unit of the waypoints")
+    axes.set(xlim=(box[0][0], box[1][0]), ylim=(box[0][1], box[1][1]))
+
+
+def _plot_sets(
+    axes: Axes, field: GuidingField, found: Certificate, box: tuple[FloatArray, FloatArray]
+) -> None:
     assert found.conditions is not None
     assert found.sigma is not None
     c_in, c_out = found.conditions.c_in, found.conditions.c_out
     function = LyapunovFunction(GaussianMixture(field.mixture.points, found.sigma))
-    lower, upper = field.cloud.box
+    lower, upper = box
     x, y = (np.linspace(lower[k], upper[k], PIXELS) for k in range(2))
     points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     V = function(points).reshape(PIXELS, PIXELS)
     axes.contourf(x, y, V, [c_in, c_out], colors=[FALLS], alpha=0.7)
-    axes.contourf(x, y, V, [-1, c_in], colors=[TUBE])
+    axes.contourf(x, y, V, [-1, c_in], colors=[TUBE], alpha=0.8)
+    # On the map a tube may be thinner than a pixel.
+    axes.contour(x, y, V, [c_in], colors=[TUBE], linewidths=1.0)
     levels = np.geomspace(c_in, c_out, NUM_LEVELS)
     axes.contour(x, y, V, levels, colors=[LEVELS], linewidths=0.6)
-    handles = [
-        Patch(color=FALLS, label="every robot from here enters the tube"),
-        Patch(color=TUBE, label="the tube, with a closed orbit around each hole"),
-    ]
-    axes.legend(handles=handles, **BELOW)
+    for part in found.parts:
+        _plot_part(axes, part, (x, y, V), c_out)
 
 
-def _plot_margin(axes: Axes, found: Certificate) -> None:
+def _plot_part(
+    axes: Axes, part: Part, raster: tuple[FloatArray, FloatArray, FloatArray], c_out: float
+) -> None:
+    """Draws the component of {c_out <= V <= level} that is proved, if its point is in sight."""
+    x, y, V = raster
+    labels, _ = ndimage.label((c_out <= V) & (part.level >= V))
+    row, column = (
+        int(np.abs(a - b).argmin()) for a, b in ((y, part.point[1]), (x, part.point[0]))
+    )
+    if labels[row, column]:
+        inside = np.where(labels == labels[row, column], V, np.nan)
+        axes.contourf(x, y, inside, [c_out, part.level], colors=[FALLS], alpha=0.4)
+
+
+def _entry_window(
+    found: Certificate, flights: Sequence[FlightMargin]
+) -> tuple[FloatArray, FloatArray]:
+    """Returns the corners of a square about where the first flight settles, or ends."""
+    assert found.tube_half_width is not None
+    first = flights[0]
+    row = int(np.argmax(first.settled)) if first.settled.any() else -1
+    middle = first.table[["x", "y"]].to_numpy()[row]
+    half = ZOOM_WIDTHS * found.tube_half_width
+    return middle - half, middle + half
+
+
+def _plot_margin(axes: Axes, found: Certificate, flights: Sequence[FlightMargin]) -> None:
     axes.set(xlabel="level of V", ylabel="disturbance, part of the speed")
     axes.set_title("disturbance that a level set tolerates, at least")
     axes.grid(alpha=0.3)
     if not found.e_star:
         axes.text(0.5, 0.5, "nothing is proved", ha="center", transform=axes.transAxes)
         return
-    axes.stairs(found.e_star, found.levels, color=plotting.BLUE, linewidth=1.5)
+    levels, e_star = np.array(found.levels), np.array(found.e_star)
+    axes.stairs(e_star, levels, color="black", linewidth=1.5, label="tolerated, e*")
     axes.set(xscale="log", ylim=(0, None))
+    if flights:
+        _plot_errors(axes, levels, e_star, flights)
+
+
+def _plot_errors(
+    axes: Axes, levels: FloatArray, e_star: FloatArray, flights: Sequence[FlightMargin]
+) -> None:
+    """Draws the errors of flights over V beside what is tolerated, on logarithmic axes."""
+    axes.stairs(e_star, levels, fill=True, color="black", alpha=0.1)
+    c_in, lowest = levels[0], LOWEST_V * levels[0]
+    axes.fill_between([lowest, c_in], e_star[0], color=TUBE, alpha=0.2)
+    axes.hlines(
+        e_star[0], lowest, c_in, color="black", linestyle="--", label="e* of the tube's border"
+    )
+    for flight in flights:
+        table, color = flight.table, _color(flight)
+        V = np.maximum(table["V"], lowest)
+        error = np.maximum(table["error"], LOWEST_ERROR)
+        taking_off = table["time"] < TAKE_OFF_S
+        name = f"flight {flight.piece + 1}"
+        for part, style, label in (
+            (taking_off, ":", f"{name}, take-off"),
+            (~taking_off & ~flight.settled, "--", f"{name}, to the tube"),
+            (flight.settled, "-", f"{name}, since then"),
+        ):
+            axes.plot(V[part], error[part], style, color=color, linewidth=1, label=label)
+    covering = [flight.summary()["covering_level"] for flight in flights]
+    if None not in covering:
+        axes.axvline(
+            max(covering),
+            color="black",
+            linestyle=":",
+            linewidth=1,
+            label="the first level that tolerates all errors in the tube",
+        )
+    axes.set(
+        yscale="log",
+        xlim=(lowest, 1.5 * levels[-1]),
+        ylim=(LOWEST_ERROR, 1.5),
+        xlabel="V (in the green part inside the tube)",
+        ylabel="velocity error and what is tolerated, parts of the speed",
+        title="velocity error against e*",
+    )
+    axes.legend(**BELOW)
+
+
+def _color(flight: FlightMargin) -> str:
+    return FLIGHT_COLORS[flight.piece % len(FLIGHT_COLORS)]

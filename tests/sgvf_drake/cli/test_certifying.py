@@ -64,6 +64,50 @@ def test_what_it_leaves(certified):
     assert piece["lap_time_low"] < 8 * np.pi < piece["lap_time_high"]
 
 
+FLIGHT = ("--scale", 0.1, "--speed", 1.5, "--laps", 1)
+
+
+def test_a_flight_is_held_against_the_certificate(run, fields, certified, tmp_path, capsys):
+    out = tmp_path / "out"
+    field = fields / "good.safetensors"
+    assert run("fly", field, *FLIGHT, "--html", "--certificate", certified, "--out", out) == 0
+    assert {path.name for path in out.iterdir()} == {
+        *("summary.json", "certificate.png", "flight_1.html", "flight_1.parquet"),
+        "flight_1.png",
+    }
+    found = json.loads((out / "summary.json").read_text())["certificate"]
+    claimed = json.loads((certified / "summary.json").read_text())
+    assert (found["c_in"], found["e_star_max"]) == (claimed["c_in"], claimed["e_star_max"])
+    assert len(found["what_it_does_not_cover"]) > 3
+    # So fast, it flies a wider field than the one that is certified.
+    assert found["inside_margin"] is False
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "NOT inside of the margin" in printed
+    # Without a certificate, its figure does not stay.
+    assert run("fly", field, *FLIGHT, "--overwrite", "--out", out) == 0
+    assert "certificate" not in json.loads((out / "summary.json").read_text())
+    assert not (out / "certificate.png").exists()
+
+
+def test_flights_refuse_what_is_no_certificate_of_theirs(refused, fields, certified, tmp_path):
+    field, out = fields / "good.safetensors", ("--out", tmp_path / "out")
+    line = refused("fly", fields / "sink.safetensors", "--certificate", certified, *out)
+    assert "is the certificate of another field" in line
+    line = refused("fly", field, "--certificate", tmp_path, *out)
+    assert f"no certificate in {tmp_path}" in line
+    options = ("--tour", "1,1", "--certificate", certified)
+    assert "says nothing of a tour" in refused("fly", field, *options, *out)
+    line = refused("fly", field, "--html", "--tube", fields / "good.safetensors", *out)
+    assert "good.safetensors: cannot be read" in line
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_field_as_it_is_flown_is_another_one(refused, fields, certified, tmp_path):
+    options = ("--speed", 1.5, "--scale", 0.25, "--check", certified / "certificate.json")
+    line = refused("certify", fields / "good.safetensors", *options, "--out", tmp_path / "out")
+    assert "another field" in line
+
+
 def test_a_certificate_is_proved_anew(run, fields, certified, tmp_path, capsys):
     file = certified / "certificate.json"
     field = fields / "good.safetensors"

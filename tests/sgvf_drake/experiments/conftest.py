@@ -1,11 +1,16 @@
 """One field for flight, trained once on the closed-form score, and what it did."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from sgvf_drake.certificate import Certificate, Conditions
+from sgvf_drake.certificate.mixture_model import lowest_of, mixture_of
 from sgvf_drake.experiments import fly, follow
+from sgvf_drake.fields import GaussianMixture, Perceptron
+from sgvf_drake.fields.storage import field_digest
 from sgvf_drake.learning import TrainingConfig, train
 from sgvf_drake.paths import Piece, PointCloud, ReferencePath, make_shape, shape_path
 
@@ -106,4 +111,43 @@ def flown(flight_field, rings):
     return SimpleNamespace(
         slow=fly(flight_field, rings, speed=0.45, laps=1.2),
         fast=fly(flight_field, rings, speed=2.0, laps=1.5),
+    )
+
+
+# Of the planted certificate: V of another noise level than the field's, and its band.
+RING_SIGMA_OF_V, RING_C_IN, RING_C_OUT = 0.28, 0.04, 6.0
+
+
+@pytest.fixture(scope="session")
+def ring_field(make_field):
+    """A field around a circle of 4 units, with the closed-form score and a turning tangent."""
+    angle = 2 * np.pi * np.arange(80) / 80
+    cloud = PointCloud(4.0 * np.column_stack([np.cos(angle), np.sin(angle)]))
+    sigma = 0.4
+    return replace(
+        make_field("exact", sigma=sigma, gain=2 * sigma),
+        cloud=cloud,
+        sigma=sigma,
+        score_model=GaussianMixture(cloud.normalize(cloud.points), sigma),
+        tangent_network=Perceptron((np.array([[0.0, -1.0], [1.0, 0.0]]),), (np.zeros(2),)),
+    )
+
+
+@pytest.fixture(scope="session")
+def ring_certificate(ring_field):
+    """A certificate of it by hand: e* is 0.1 at the border of the tube, and 0.4 from V = 1 on.
+
+    A proof takes 15 s, and what it would say is not what is tested here.
+    """
+    lowest = lowest_of(mixture_of(ring_field, RING_SIGMA_OF_V))
+    conditions = Conditions(RING_SIGMA_OF_V, lowest, RING_C_IN, RING_C_OUT, 0.01, 0.5, 0.5)
+    return Certificate(
+        certified=True,
+        reason="planted",
+        field_digest=field_digest(ring_field),
+        conditions=conditions,
+        sigma=RING_SIGMA_OF_V * ring_field.cloud.unit_length,
+        tube_half_width=0.1,
+        levels=(RING_C_IN, 0.2, 1.0, RING_C_OUT),
+        e_star=(0.1, 0.25, 0.4),
     )

@@ -7,8 +7,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from sgvf_drake.experiments import FlightScene, View, fly, fly_tour
-from sgvf_drake.paths import ReferencePath
+from sgvf_drake.experiments import FlightScene, View, fly, fly_tour, tube_curves
+from sgvf_drake.paths import Piece, ReferencePath
 from systems import MakeFlightDiagram, MakeMeshcat, MakeSimulator, SensorParameters
 
 SQUARE = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, -0.5]])
@@ -27,13 +27,17 @@ def meshcat(server):
     return server
 
 
+def commands_in(text):
+    """The commands of a page to the viewer, which stand there in base64."""
+    return b"".join(
+        base64.b64decode(found) for found in re.findall(r"base64,([A-Za-z0-9+/=]{40,})", text)
+    )
+
+
 def check_page(path):
     """A page that needs no network, with a scene and a recording."""
     text = path.read_text()
-    # The commands to the viewer, in base64.
-    commands = b"".join(
-        base64.b64decode(found) for found in re.findall(r"base64,([A-Za-z0-9+/=]{40,})", text)
-    )
+    commands = commands_in(text)
     for part in (b"set_animation", b"/waypoints", b"/field", b"/trail"):
         assert part in commands
     assert not re.findall(r"<(?:script|link)[^>]+(?:src|href)=[\"']https?:", text)
@@ -63,6 +67,22 @@ def test_a_tour_leaves_one_page(flight_field, rings, meshcat, tmp_path):
     assert [page.name for page in tmp_path.iterdir()] == ["tour.html"]
     check_page(tmp_path / "tour.html")
     assert meshcat.HasPath("/tube")
+
+
+def test_the_page_of_a_flight_holds_the_proved_tube(
+    ring_field, ring_certificate, meshcat, tmp_path
+):
+    ring_certificate.save(tmp_path / "certificate.json")
+    curves = tube_curves(ring_field, tmp_path, 0.1)
+    path = ReferencePath((Piece(0.1 * ring_field.cloud.points, closed=True),))
+    scene = FlightScene(meshcat, tmp_path, tube=curves)
+    fly(ring_field.rescaled(0.1), path, speed=2.0, laps=1.0, scene=scene)
+    commands = commands_in((tmp_path / "flight_1.html").read_text())
+    # Its points are told as float32, three to each end of a segment.
+    drawn = commands[commands.index(b"/tube") :]
+    for curve in curves:
+        for x, y in (curve[0], curve[len(curve) // 2]):
+            assert np.array([x, y, 1.0], np.float32).tobytes() in drawn
 
 
 @pytest.mark.parametrize("sensors", [None, SensorParameters()])

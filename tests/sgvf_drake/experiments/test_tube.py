@@ -82,6 +82,17 @@ def test_curves_follow_the_level_to_second_order(monkeypatch, field):
     assert errors[2] <= 2e-3
 
 
+def test_a_tube_as_thin_as_a_cell_is_whole(field):
+    # From the path to its border it is 0.008, and a cell is 1/120.
+    V, level = LyapunovFunction.of(field, SIGMA), 2e-4
+    curves = tube.level_curves(field, SIGMA, level)
+    inner, outer = sorted(curves, key=lambda curve: radii_of(curve).mean())
+    for curve in (inner, outer):
+        np.testing.assert_array_equal(curve[0], curve[-1])
+        assert np.abs(V(curve) - level).max() < 0.2 * level
+    assert radii_of(inner).max() < radii_of(outer).min()
+
+
 def test_a_curve_that_leaves_the_box_is_cut_there(field):
     curves = tube.level_curves(field, SIGMA, 30.0)
     lower, upper = field.cloud.box
@@ -150,6 +161,98 @@ def test_damaged_results(field, verified, summary, message):
 def test_results_of_no_use(field, verified, change):
     with pytest.raises(ConfigurationError):
         tube_curves(field, verified(summary_of(field, **change)))
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.25])
+def test_the_tube_of_a_certificate(ring_field, ring_certificate, tmp_path, scale):
+    ring_certificate.save(tmp_path / "certificate.json")
+    curves = tube_curves(ring_field, tmp_path, scale)
+    sigma = ring_certificate.sigma
+    V = LyapunovFunction.of(ring_field.rescaled(scale), scale * sigma)
+    assert len(curves) == 2
+    for curve in curves:
+        np.testing.assert_allclose(V(curve), ring_certificate.conditions.c_in, atol=1e-3)
+    for curve, other in zip(
+        curves, tube_curves(ring_field, tmp_path / "certificate.json", scale), strict=True
+    ):
+        np.testing.assert_array_equal(curve, other)
+
+
+def test_another_field_has_another_tube(field, verified, change):
+    folder = verified(summary_of(field, **change))
+    with pytest.raises(ConfigurationError, match="is the verification of another field"):
+        tube_curves(field, folder)
+
+
+def test_other_waypoints_have_another_tube(field, verified):
+    other = replace(field, cloud=PointCloud(1.01 * field.cloud.points))
+    with pytest.raises(ConfigurationError, match="is the verification of another field"):
+        tube_curves(other, verified(summary_of(field)))
+
+
+def test_a_verification_may_have_found_no_tube(field, verified):
+    with pytest.raises(ConfigurationError, match="found no tube"):
+        tube_curves(field, verified(summary_of(field, c_in=None)))
+
+
+def test_a_folder_without_verification(field, tmp_path):
+    for folder in (tmp_path, tmp_path / "none"):
+        with pytest.raises(ConfigurationError, match=f"no verification in {folder}"):
+            tube_curves(field, folder)
+
+
+@pytest.mark.parametrize(
+    ("summary", "message"),
+    [
+        ("{", "cannot read .*summary.json"),
+        ("[1, 2]", "holds no results of a verification"),
+        ("null", "holds no results of a verification"),
+        ('{"seed": 0, "digest": "a"}', "holds no results of a verification"),
+    ],
+)
+def test_damaged_results(field, verified, summary, message):
+    with pytest.raises(ConfigurationError, match=message):
+        tube_curves(field, verified(summary))
+
+
+@pytest.mark.parametrize(
+    "change", [{"unit_length": 0.0}, {"sigma": "wide"}, {"c_in": "low"}, {"sigma": -0.1}]
+)
+def test_results_of_no_use(field, verified, change):
+    with pytest.raises(ConfigurationError):
+        tube_curves(field, verified(summary_of(field, **change)))
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.25])
+def test_the_tube_of_a_certificate(ring_field, ring_certificate, tmp_path, scale):
+    ring_certificate.save(tmp_path / "certificate.json")
+    curves = tube_curves(ring_field, tmp_path, scale)
+    sigma = ring_certificate.sigma
+    V = LyapunovFunction.of(ring_field.rescaled(scale), scale * sigma)
+    assert len(curves) == 2
+    for curve in curves:
+        np.testing.assert_allclose(V(curve), ring_certificate.conditions.c_in, atol=1e-3)
+    for curve, other in zip(
+        curves, tube_curves(ring_field, tmp_path / "certificate.json", scale), strict=True
+    ):
+        np.testing.assert_array_equal(curve, other)
+
+
+def test_the_inner_tube_of_a_certificate_is_drawn_too(ring_field, ring_certificate, tmp_path):
+    inner = replace(ring_certificate.conditions, c_in=0.01)
+    file = tmp_path / "inner.json"
+    replace(ring_certificate, inner=inner).save(file)
+    curves = tube_curves(ring_field, file)
+    radii = sorted(radii_of(curve).mean() for curve in curves)
+    assert len(curves) == 4
+    assert radii[0] < radii[1] < 4.0 < radii[2] < radii[3]
+
+
+def test_another_field_has_another_certificate(ring_field, ring_certificate, tmp_path):
+    ring_certificate.save(tmp_path / "certificate.json")
+    other = replace(ring_field, seed=ring_field.seed + 1)
+    with pytest.raises(ConfigurationError, match=r"certificate\.json is the certificate of an"):
+        tube_curves(other, tmp_path)
 
 
 def test_bytes_that_are_no_text(field, tmp_path):
