@@ -10,7 +10,6 @@ import json
 from flint import arb
 import numpy as np
 import pytest
-from sgvf_drake.certificate.inner import known_inner
 import torch
 from torch import nn
 
@@ -143,7 +142,9 @@ def test_a_drift_is_refused_where_it_carries_robots_up(certified, folder):
     assert run("import", *networks, "--out", folder / "drifting") == 0
     field, (_, claimed) = load_field(folder / "drifting" / "field.safetensors"), certified
     conditions = claimed.conditions
-    found = prove(field, conditions, learned_path(field), known_inner(claimed.inner))
+    found = prove(
+        field, conditions, learned_path(field), lambda piece, _: [claimed.annuli[piece]]
+    )
     assert not found.certificate.certified
     assert "V falls" in found.certificate.reason
     x = np.array(found.certificate.counterexample)
