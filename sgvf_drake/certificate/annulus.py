@@ -66,14 +66,21 @@ class Annulus:
             and ((widths > 1e3 * ROUNDING) & (widths < radii)).all()
         )
 
-    def squares(self, parts: int = 1) -> Boxes:
-        """Returns squares that cover the ring, parts^2 over each quadrilateral between rays."""
+    def squares(self, fineness: int = 1) -> Boxes:
+        """Returns squares that cover the ring, about as wide as it is or a part of that.
+
+        Args:
+            fineness: So many squares from one polygon to the other.
+        """
         inner, outer = self.borders
-        shares = np.linspace(0, 1, parts + 1)[:, None, None]
-        across = (1 - shares) * inner + shares * outer
-        points = (1 - shares[:, None]) * across + shares[:, None] * np.roll(across, -1, axis=1)
+        length = np.linalg.norm(np.roll(inner, -1, axis=0) - inner, axis=1)
+        along = fineness * int(np.ceil(np.median(length / (2 * np.array(self.widths)))))
+        s = np.linspace(0, 1, fineness + 1)[:, None, None, None]
+        t = np.linspace(0, 1, along + 1)[:, None, None]
+        across = (1 - s) * inner + s * outer
+        points = (1 - t) * across + t * np.roll(across, -1, axis=2)
         corners = np.stack(
-            [points[i : i + parts, j : j + parts] for i in (0, 1) for j in (0, 1)]
+            [points[i : i + fineness, j : j + along] for i in (0, 1) for j in (0, 1)]
         ).reshape(4, -1, 2)
         low, high = corners.min(axis=0), corners.max(axis=0)
         half = (high - low).max(axis=1) / 2

@@ -26,7 +26,7 @@ ProposeRings = Callable[[int, FloatArray], Iterable[Annulus]]
 
 
 # How finely a ring is covered to bound the time of a lap.
-PARTS = (1, 2, 4)
+FINENESS = (1, 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,8 +160,8 @@ def _lap(field: GuidingField, proved: Proved, annulus: Annulus, orbit: _Orbit) -
     if not traps:
         return orbit
     turning = Turning.about(field, np.array(annulus.center), np.array(annulus.vertices))
-    for parts in PARTS:
-        turns = turning.prove(annulus.squares(parts), Squares.of(field).cover / 8)
+    for fineness in FINENESS:
+        turns = turning.prove(annulus.squares(fineness), Squares.of(field).last)
         orbit = replace(orbit, boxes=orbit.boxes + turns.evaluated)
         if turns.proved:
             low, high = turning.lap_time(turns)

@@ -14,7 +14,7 @@ from sgvf_drake.fields import GuidingField
 
 # Largest widths that are tried, in the unit of the squares; an orbit that attracts weakly or
 # turns sharply needs a wide ring.
-WIDTHS = (0.125, 0.25, 0.5, 1.0)
+WIDTHS = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0)
 # Sides of the polygon are no longer than this, in that unit, and turn no more, in rad.
 LONGEST, SHARPEST = 0.5, 0.01
 # Points on which a lap is looked at, and the step by which it is differentiated.
@@ -53,6 +53,12 @@ class _Polar:
         outward, around = self.parts(angle, radius)
         return radius * outward / around
 
+    def crossing(self, angle: FloatArray, radius: FloatArray) -> FloatArray:
+        """Returns what dr / dtheta differs by on a curve that m crosses at speed one, (n,)."""
+        _, around = self.parts(angle, radius)
+        oblique = self.slope(angle, radius) / radius
+        return np.asarray(radius * np.sqrt(1 + oblique**2) / np.abs(around))
+
 
 def propose_annuli(field: GuidingField, points: FloatArray) -> Iterator[Annulus]:
     """Gives rings around the closed orbit near a piece of a path, the thinnest first.
@@ -70,7 +76,7 @@ def propose_annuli(field: GuidingField, points: FloatArray) -> Iterator[Annulus]
         return
     angle, radius, side = lap
     slopes = (polar.slope(angle, radius + STEP), polar.slope(angle, radius - STEP))
-    shape = _shape((slopes[0] - slopes[1]) / (2 * STEP), side)
+    shape = _shape((slopes[0] - slopes[1]) / (2 * STEP), polar.crossing(angle, radius), side)
     at = _corners(polar.points(angle, radius), unit)
     vertices = polar.points(angle[at], radius[at]).round(DECIMALS)
     center = tuple(polar.center.round(DECIMALS).tolist())
@@ -127,19 +133,20 @@ def _integrate(
     return angle, CubicSpline(turn[last], radius[last])(at), side
 
 
-def _shape(growth: FloatArray, side: float) -> FloatArray:
-    """Returns widths along a lap, the largest one, through whose ends m points inward alike.
+def _shape(growth: FloatArray, flow: FloatArray, side: float) -> FloatArray:
+    """Returns widths along a lap, the largest one, through whose ends m flows in alike.
 
-    What is aside of the orbit by w changes by growth w along the angle; w' = growth w + 1 has
-    one solution that closes, and m points inward across it by 1 everywhere.
+    What is aside of the orbit by w changes by growth w along the angle; w' = growth w + flow
+    has one solution that closes, and m flows in across it everywhere.
     """
-    growth = side * growth[:: int(side)]
+    growth, flow = side * growth[:: int(side)], flow[:: int(side)]
     step = 2 * np.pi / NUM_ANGLES
     widths = np.zeros_like(growth)
     # A lap forgets where it began, where the orbit attracts.
     for k in range(2 * NUM_ANGLES):
         factor = np.exp(step * growth[k % NUM_ANGLES])
-        widths[(k + 1) % NUM_ANGLES] = factor * widths[k % NUM_ANGLES] + step
+        inflow = step * flow[k % NUM_ANGLES]
+        widths[(k + 1) % NUM_ANGLES] = factor * widths[k % NUM_ANGLES] + inflow
     widths[-1] = widths[0]
     return np.asarray(widths[:: int(side)] / widths.max())
 

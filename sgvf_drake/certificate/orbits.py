@@ -21,7 +21,7 @@ DIVERGENCE = 0
 SLOWEST, FASTEST = range(2)
 # Squares are divided until the bounds of the angular speed are so close, relative to it, or
 # until they are so small, in the unit of the squares; on sectors of which there are so many.
-CLOSE, FINE = 0.1, 1 / 16
+CLOSE, FINE = 0.1, 1 / 32
 NUM_SECTORS = 720
 
 
