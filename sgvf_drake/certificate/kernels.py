@@ -26,6 +26,23 @@ magnitudes that are added in it: n of them make (1 + UNIT)^n - 1, which is below
 TINY = 1e-290
 """Above what underflow can change a result by."""
 
+
+def check_rounding() -> None:
+    """Makes sure that results are rounded to nearest, as UNIT assumes.
+
+    Libraries of interval arithmetic may leave a process with another rounding.
+
+    Raises:
+        RuntimeError: They are not.
+    """
+    # A quarter and three quarters of the way to the next number.
+    for one in np.array([1.0, -1.0]):
+        if one + one * UNIT / 2 != one or one + one * 3 * UNIT / 2 != one + one * 2 * UNIT:
+            raise RuntimeError(
+                "float64 is not rounded to nearest in this process: nothing is proved"
+            )
+
+
 LINEAR, CURVED, LOWER, UPPER, MAGNITUDE = range(5)
 """Rows of what `ranges` returns."""
 

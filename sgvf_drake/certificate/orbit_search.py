@@ -23,6 +23,8 @@ NUM_ANGLES, STEP = 8192, 1e-5
 # the time of the piece at |m| = 1.
 TURNS, LONGEST_LAP = 1.5, 3.0
 TOLERANCE = 1e-7
+# By which more than a turn is looked at, in rad, so that no angle is at an end.
+OVERLAP = 0.1
 DECIMALS = 10
 
 
@@ -60,6 +62,21 @@ class _Polar:
         return np.asarray(radius * np.sqrt(1 + oblique**2) / np.abs(around))
 
 
+@dataclass(frozen=True, eq=False)
+class _Lap:
+    """A closed orbit around a centre.
+
+    Attributes:
+        angle: (n + 1,) from 0 to a turn.
+        radius: (n + 1,) there.
+        side: 1.0 where it is run counter-clockwise, -1.0 where clockwise.
+    """
+
+    angle: FloatArray
+    radius: FloatArray
+    side: float
+
+
 def propose_annuli(field: GuidingField, points: FloatArray) -> Iterator[Annulus]:
     """Gives rings around the closed orbit near a piece of a path, the thinnest first.
 
@@ -71,14 +88,12 @@ def propose_annuli(field: GuidingField, points: FloatArray) -> Iterator[Annulus]
         points: (M, 2) on the piece, normalised.
     """
     polar, unit = _Polar(field, points.mean(axis=0)), Squares.of(field).unit
-    lap = _integrate(polar, points)
+    lap = _settled_lap(polar, points)
     if lap is None:
         return
-    angle, radius, side = lap
-    slopes = (polar.slope(angle, radius + STEP), polar.slope(angle, radius - STEP))
-    shape = _shape((slopes[0] - slopes[1]) / (2 * STEP), polar.crossing(angle, radius), side)
-    at = _corners(polar.points(angle, radius), unit)
-    vertices = polar.points(angle[at], radius[at]).round(DECIMALS)
+    shape, orbit = _shape(polar, lap), polar.points(lap.angle, lap.radius)
+    at = _corners(orbit, unit)
+    vertices = orbit[at].round(DECIMALS)
     center = tuple(polar.center.round(DECIMALS).tolist())
     for width in WIDTHS:
         widths = (width * unit * shape[at]).round(DECIMALS)
@@ -87,12 +102,27 @@ def propose_annuli(field: GuidingField, points: FloatArray) -> Iterator[Annulus]
             yield annulus
 
 
-def _integrate(
-    polar: _Polar, points: FloatArray
-) -> tuple[FloatArray, FloatArray, float] | None:
-    """Returns angles from 0 to a turn, the radius of the orbit there, and its side.
+def _settled_lap(polar: _Polar, points: FloatArray) -> _Lap | None:
+    """Returns the lap on which m settles; None: it does not turn around the centre."""
+    states = _integrate(polar, points)
+    if states is None:
+        return None
+    side = float(np.sign(states[2, -1]))
+    turned = side * states[2]
+    last = turned >= turned[-1] - 2 * np.pi - OVERLAP
+    if (np.diff(turned[last]) <= 0).any():
+        return None
+    radius = np.linalg.norm(states[:2].T - polar.center, axis=1)
+    angle = np.linspace(0, 2 * np.pi, NUM_ANGLES + 1)
+    # The same angle on the last turn.
+    at = turned[-1] - (turned[-1] - side * angle) % (2 * np.pi)
+    return _Lap(angle, CubicSpline(turned[last], radius[last])(at), side)
 
-    None where m does not turn around the centre.
+
+def _integrate(polar: _Polar, points: FloatArray) -> FloatArray | None:
+    """Returns points along m and the angle turned through, (3, n), from a piece on.
+
+    None where m does not turn so often in the time that it should take.
     """
     field, center = polar.field, polar.center
 
@@ -118,28 +148,19 @@ def _integrate(
     )
     if run.status != 1:
         return None
-    states = run.sol(np.linspace(0, run.t[-1], int(TURNS * NUM_ANGLES)))
-    side = float(np.sign(states[2, -1]))
-    turn = side * states[2]
-    last = turn >= turn[-1] - 2 * np.pi - 0.1
-    if (np.diff(turn[last]) <= 0).any():
-        return None
-    radius = np.linalg.norm(states[:2].T - center, axis=1)
-    angle = np.linspace(0, 2 * np.pi, NUM_ANGLES + 1)
-    # The angles of the last turn, from zero on in their own direction.
-    begin = np.ceil((turn[-1] - 2 * np.pi) / (2 * np.pi)) * 2 * np.pi
-    at = np.where(angle * side % (2 * np.pi) + begin > turn[-1], -2 * np.pi, 0)
-    at = angle * side % (2 * np.pi) + begin + at
-    return angle, CubicSpline(turn[last], radius[last])(at), side
+    return np.asarray(run.sol(np.linspace(0, run.t[-1], int(TURNS * NUM_ANGLES))))
 
 
-def _shape(growth: FloatArray, flow: FloatArray, side: float) -> FloatArray:
-    """Returns widths along a lap, the largest one, through whose ends m flows in alike.
+def _shape(polar: _Polar, lap: _Lap) -> FloatArray:
+    """Returns widths along a lap, the largest one, across whose ends m flows in alike.
 
     What is aside of the orbit by w changes by growth w along the angle; w' = growth w + flow
     has one solution that closes, and m flows in across it everywhere.
     """
-    growth, flow = side * growth[:: int(side)], flow[:: int(side)]
+    aside = (polar.slope(lap.angle, lap.radius + step) for step in (STEP, -STEP))
+    order = slice(None, None, int(lap.side))
+    growth = (lap.side * np.subtract(*aside) / (2 * STEP))[order]
+    flow = polar.crossing(lap.angle, lap.radius)[order]
     step = 2 * np.pi / NUM_ANGLES
     widths = np.zeros_like(growth)
     # A lap forgets where it began, where the orbit attracts.
@@ -148,7 +169,7 @@ def _shape(growth: FloatArray, flow: FloatArray, side: float) -> FloatArray:
         inflow = step * flow[k % NUM_ANGLES]
         widths[(k + 1) % NUM_ANGLES] = factor * widths[k % NUM_ANGLES] + inflow
     widths[-1] = widths[0]
-    return np.asarray(widths[:: int(side)] / widths.max())
+    return np.asarray(widths[order] / widths.max())
 
 
 def _corners(lap: FloatArray, unit: float) -> FloatArray:

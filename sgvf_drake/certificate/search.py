@@ -9,6 +9,7 @@ from sgvf_drake.arrays import FloatArray
 from sgvf_drake.certificate.annulus import Annulus
 from sgvf_drake.certificate.boxes import Boxes
 from sgvf_drake.certificate.field_model import model_field
+from sgvf_drake.certificate.kernels import check_rounding
 from sgvf_drake.certificate.mixture_model import lowest_of, mixture_of
 from sgvf_drake.certificate.orbit_search import propose_annuli
 from sgvf_drake.certificate.proof import failed, prove
@@ -53,9 +54,11 @@ def certify(
 
     Raises:
         ConfigurationError: The field is not planar, or is of a kind that nothing bounds.
+        RuntimeError: The process does not round to nearest.
     """
     if field.dim != 2:
         raise ConfigurationError(f"only planar fields are certified, not one of {field.dim}-D")
+    check_rounding()
     # What nothing bounds is told before the search.
     model_field(field, Boxes.square(Squares.of(field).cover))
     reference = learned_path(field) if reference is None else reference
@@ -80,11 +83,13 @@ def check(
 
     Raises:
         ConfigurationError: The certificate is that of another field, or of nothing.
+        RuntimeError: The process does not round to nearest.
     """
     if certificate.field_digest != field_digest(field):
         raise ConfigurationError("the certificate is that of another field")
     if certificate.conditions is None or not certificate.certified:
         raise ConfigurationError("the certificate certifies nothing")
+    check_rounding()
     reference = learned_path(field) if reference is None else reference
     rings = certificate.annuli
 

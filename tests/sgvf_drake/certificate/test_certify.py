@@ -1,5 +1,7 @@
 """Certificates: what is certified is so in simulation, and what is not is refused."""
 
+import ctypes
+import ctypes.util
 from dataclasses import replace
 import json
 
@@ -10,6 +12,7 @@ from scipy.integrate import solve_ivp
 
 from sgvf_drake import certify
 from sgvf_drake.certificate import Certificate, check
+from sgvf_drake.certificate.kernels import check_rounding
 from sgvf_drake.certificate.proof import prove
 from sgvf_drake.exceptions import ConfigurationError, OutputExistsError
 from sgvf_drake.fields import GaussianMixture
@@ -248,3 +251,16 @@ def test_fields_in_space_and_with_ends_are_told_before_the_search(make_field):
         certify(make_field("robust", dim=3))
     with pytest.raises(ConfigurationError, match="terminal ends"):
         certify(make_field("robust", ends=1))
+
+
+@pytest.mark.parametrize("mode", [0x400, 0x800, 0xC00], ids=["down", "up", "to zero"])
+def test_nothing_is_proved_where_results_are_rounded_to_one_side(ring, mode):
+    """As a library of interval arithmetic may leave the process (x86: fenv.h)."""
+    library = ctypes.CDLL(ctypes.util.find_library("m"))
+    assert library.fesetround(mode) == 0
+    try:
+        with pytest.raises(RuntimeError, match="rounded to nearest"):
+            check(ring[2], ring[0], ring[1])
+    finally:
+        assert library.fesetround(0) == 0
+    check_rounding()
