@@ -2,8 +2,10 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from sgvf_drake.arrays import FloatArray
 from sgvf_drake.certificate.annulus import Annulus
@@ -28,6 +30,9 @@ from sgvf_drake.lyapunov import (
 from sgvf_drake.paths import Reference
 from sgvf_drake.progress import Progress, no_progress
 
+# The matrices are small: more threads cost more than they bring, many times over where other
+# processes run.
+ONE_THREAD: dict[str, Any] = {"limits": 1, "user_api": "blas"}
 # What is to be proved: V falls by more than this in every normalised unit of length, and m is
 # at least so fast in the tube; and how sharp the bounds are to be.
 ALPHA, DELTA, SHARE = 0.01, 0.05, 0.5
@@ -62,6 +67,11 @@ def certify(
     # What nothing bounds is told before the search.
     model_field(field, Boxes.square(Squares.of(field).cover))
     reference = learned_path(field) if reference is None else reference
+    with threadpool_limits(**ONE_THREAD):
+        return _search(field, reference, progress)
+
+
+def _search(field: GuidingField, reference: Reference, progress: Progress) -> Certificate:
     samples = take_samples(field, grid_size=GRID_SIZE)
     stops = find_guiding_zeros(field).points
     band = search_band(field, samples, reference, RATIOS, stops=stops, progress=progress)
@@ -97,7 +107,8 @@ def check(
         ring = rings[piece] if piece < len(rings) else None
         return [] if ring is None else [ring]
 
-    found = prove(field, certificate.conditions, reference, known).certificate
+    with threadpool_limits(**ONE_THREAD):
+        found = prove(field, certificate.conditions, reference, known).certificate
     if not found.is_as_strong_as(certificate):
         return found.refused("what is claimed is not what is proved")
     return found
