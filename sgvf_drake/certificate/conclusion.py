@@ -81,7 +81,6 @@ def conclude(field: GuidingField, proved: Proved, propose: ProposeRings) -> Cert
     annuli = tuple(orbit.annulus for orbit in orbits)
     boxes = falls.evaluated + proved.moves.evaluated + above.boxes
     boxes += sum(orbit.boxes for orbit in orbits)
-    basin = consequences.basin_area(falls, c.c_out) + above.basin_area
     falling = consequences.falling_area(falls, c.c_in, c.c_out) + above.falling_area
     return Certificate(
         certified=not missing,
@@ -95,7 +94,7 @@ def conclude(field: GuidingField, proved: Proved, propose: ProposeRings) -> Cert
         tube_half_width=consequences.tube_half_width(field, proved.shape, proved.reference),
         orbit_half_width=consequences.annuli_half_width(field, annuli, proved.reference),
         parts=above.parts,
-        area_fraction=basin / box,
+        area_fraction=above.basin_area / box,
         decrease_fraction=falling / box,
         entry_time_bound=found.entry_time * unit,
         levels=tuple(found.levels.tolist()),

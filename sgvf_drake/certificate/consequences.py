@@ -7,7 +7,6 @@ import numpy as np
 
 from sgvf_drake.arrays import FloatArray
 from sgvf_drake.certificate.annulus import Annulus
-from sgvf_drake.certificate.boxes import Boxes
 from sgvf_drake.certificate.decrease import HIGH, LOW, MARGIN, RATE, STEP
 from sgvf_drake.certificate.division import Division
 from sgvf_drake.certificate.kernels import SLACK
@@ -59,21 +58,11 @@ def rates(decrease: Division, c_in: float, c_out: float) -> Rates:
     return Rates(levels, alpha, e_star, float(facts[:, STEP].min()))
 
 
-def basin_area(decrease: Division, c_out: float) -> float:
-    """Returns the area of {V <= c_out}, at least, in normalised units."""
-    inside = decrease.facts[:, HIGH] <= c_out
-    return _area(decrease.boxes[inside])
-
-
 def falling_area(decrease: Division, c_in: float, c_out: float) -> float:
     """Returns the area of squares inside of the band, on all of which V was proved to fall."""
     facts = decrease.facts
     inside = (facts[:, LOW] >= c_in) & (facts[:, HIGH] <= c_out)
-    return _area(decrease.boxes[inside])
-
-
-def _area(boxes: Boxes) -> float:
-    return float((4 * boxes.half**2).sum())
+    return float((4 * decrease.boxes.half[inside] ** 2).sum())
 
 
 def tube_half_width(field: GuidingField, shape: Shape, reference: Reference) -> float:

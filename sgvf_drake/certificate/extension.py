@@ -13,7 +13,7 @@ from scipy import ndimage
 
 from sgvf_drake.arrays import FloatArray, IntArray
 from sgvf_drake.certificate.boxes import Boxes
-from sgvf_drake.certificate.decrease import HIGH, LOW, RATE, Decrease
+from sgvf_drake.certificate.decrease import LOW, RATE, Decrease
 from sgvf_drake.certificate.division import Division
 from sgvf_drake.certificate.mixture_model import MixtureModel
 from sgvf_drake.certificate.squares import Squares
@@ -31,8 +31,8 @@ class Extension:
 
     Attributes:
         parts: The components of {c_out <= V <= level} from which robots come down, the largest.
-        basin_area: Of these, at least, in normalised units.
-        falling_area: Of all squares on which V falls, in one of these or not.
+        basin_area: Of these and of {V <= c_out}, at least, in normalised units.
+        falling_area: Of all squares above c_out on which V falls, in one of these or not.
         boxes: Number of squares over which the field was bounded.
     """
 
@@ -57,15 +57,26 @@ def extend(field: GuidingField, levels: MixtureModel, conditions: Conditions) ->
     open_level = raster.lowest(falls.undecided.centers, levels.level_range(falls.undecided)[0])
     low, high = (raster.grid(bound) for bound in levels.level_range(raster.squares))
     found, reach = _parts(raster, low, high, open_level, conditions.c_out)
-    inside = field.cloud.denormalize(raster.squares.centers[list(found.values())])
-    parts = tuple(map(Part, found, map(tuple, inside.tolist())))
-    # Below c_out V falls by C1.
-    facts, boxes = falls.facts, falls.boxes
-    proved = ~np.isnan(facts[:, RATE]) & (facts[:, LOW] >= conditions.c_in)
-    proved &= ((lower <= boxes.centers) & (boxes.centers <= upper)).all(axis=1)
-    area = np.where(proved, 4 * boxes.half**2, 0.0)
-    leads_down = facts[:, HIGH] <= raster.at(boxes.centers, reach)
-    return Extension(parts, float(area[leads_down].sum()), float(area.sum()), falls.evaluated)
+    parts = []
+    for level, number in found:
+        x, y = field.cloud.denormalize(raster.squares.centers[number]).tolist()
+        parts.append(Part(level, (x, y)))
+    quarters = raster.squares.quarters()
+    highest = np.maximum(raster.at(quarters.centers, reach), conditions.c_out)
+    leads_down = levels.level_range(quarters)[1] <= highest
+    above = ~np.isnan(falls.facts[:, RATE]) & (falls.facts[:, LOW] >= conditions.c_out)
+    return Extension(
+        parts=tuple(parts),
+        basin_area=_area_in_box(quarters[leads_down], lower, upper),
+        falling_area=_area_in_box(falls.boxes[above], lower, upper),
+        boxes=falls.evaluated,
+    )
+
+
+def _area_in_box(squares: Boxes, lower: FloatArray, upper: FloatArray) -> float:
+    """Returns the area of the squares that lie in a box."""
+    within = np.minimum(squares.centers - lower, upper - squares.centers).min(axis=1)
+    return float((4 * squares.half[within >= squares.half] ** 2).sum())
 
 
 def _falls(
@@ -124,10 +135,10 @@ class _Raster:
 
 def _parts(
     raster: _Raster, low: FloatArray, high: FloatArray, open_level: FloatArray, c_out: float
-) -> tuple[dict[float, int], FloatArray]:
+) -> tuple[list[tuple[float, int]], FloatArray]:
     """Returns the largest parts, and the level up to which each square belongs to one.
 
-    Each part by its level, and the number of a square that is in it.
+    Each part by its level and the number of a square that is in it.
 
     Args:
         raster: Squares, by rows and columns as the following.
@@ -140,7 +151,7 @@ def _parts(
     edge[1:-1, 1:-1] = False
     open_level = np.where(edge, low, open_level)
     reach = np.full(raster.shape, -np.inf)
-    parts: dict[float, int] = {}
+    parts = []
     for level in np.geomspace(c_out, high.max(), NUM_LEVELS + 1)[:0:-1]:
         labels, count = ndimage.label((high >= c_out) & (low <= level), TOUCHING)
         lowest = ndimage.minimum(open_level, labels, np.arange(1, count + 1))
@@ -149,6 +160,6 @@ def _parts(
             inside = cells & (low >= c_out) & (high <= level)
             # A part of one that was found at a higher level is no other.
             if inside.any() and (reach[cells] < level).all():
-                parts[float(level)] = int(np.argmax(inside))
+                parts.append((float(level), int(np.argmax(inside))))
                 reach[cells] = level
     return parts, reach
