@@ -48,11 +48,6 @@ class Squares:
         return self.unit / 8
 
     @property
-    def thin(self) -> float:
-        """Of those of the thinner tube."""
-        return self.unit / 16
-
-    @property
     def last(self) -> float:
         """Of those that are divided no more."""
         return self.unit / 1024

@@ -36,7 +36,7 @@ def audit_case(shape: str, recipe: str, ratio: float) -> list[dict[str, object]]
     mixture = mixture_of(field, ratio * field.sigma)
     levels = MixtureModel(mixture, lowest_of(mixture))
     squares, rng = Squares.of(field), np.random.default_rng(0)
-    halves = (squares.first, squares.ring, squares.thin, squares.unit / 128, squares.last)
+    halves = (squares.first, squares.ring, squares.unit / 16, squares.unit / 128, squares.last)
     rows = []
     for half in halves:
         boxes = random_boxes(field, half, SQUARES, rng)
