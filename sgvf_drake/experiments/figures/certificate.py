@@ -24,12 +24,14 @@ PIXELS, NUM_LEVELS = 401, 7
 WAYPOINT_SIZE = 1.5
 # Half-side of the window that shows the tube from near, in half-widths of the tube.
 ZOOM_WIDTHS = 4.0
+PART_ALPHA = 0.4
 FLIGHT_COLORS = (plotting.RED, plotting.BLUE, plotting.ORANGE)
 # Below these V and errors are not told apart: as parts of c_in, and of the speed.
 LOWEST_V, LOWEST_ERROR = 1e-2, 1e-3
 
 _SETS = [
     Patch(color=FALLS, label="every robot from here enters the tube"),
+    Patch(color=FALLS, alpha=PART_ALPHA, label="and from here, on higher levels"),
     Patch(color=TUBE, label="the tube, with a closed orbit around each hole"),
     Line2D([], [], color=LEVELS, label="level sets of V"),
 ]
@@ -114,7 +116,7 @@ def _plot_part(
     )
     if labels[row, column]:
         inside = np.where(labels == labels[row, column], V, np.nan)
-        axes.contourf(x, y, inside, [c_out, part.level], colors=[FALLS], alpha=0.4)
+        axes.contourf(x, y, inside, [c_out, part.level], colors=[FALLS], alpha=PART_ALPHA)
 
 
 def _entry_window(
