@@ -274,7 +274,7 @@ def _kind(trace: float, discriminant: float) -> tuple[str, bool | None]:
     """Returns the kind of a zero of index one and its stability, by signs; 0: not known."""
     if trace == 0:
         return "unknown", None
-    stable = trace < 0
+    stable = bool(trace < 0)
     if discriminant == 0:
         return "unknown", stable
     if discriminant < 0:
