@@ -88,4 +88,4 @@ class Annulus:
 
     @property
     def _rays(self) -> FloatArray:
-        return np.asarray(np.array(self.vertices) - self.center)
+        return np.asarray(np.array(self.vertices).reshape(-1, 2) - self.center)

@@ -151,8 +151,9 @@ def _lap(field: GuidingField, proved: Proved, annulus: Annulus, orbit: _Orbit) -
     A closed orbit in {V <= c_out} is in the tube, since V falls above.
     """
     levels, unit = proved.levels, field.cloud.unit_length
-    in_basin = levels.level_range(annulus.squares())[1].max() <= proved.conditions.c_out
-    if not (annulus.is_ring and in_basin):
+    if not annulus.is_ring:
+        return orbit
+    if levels.level_range(annulus.squares())[1].max() > proved.conditions.c_out:
         return orbit
     traps, boxes = is_trapping(field, annulus)
     orbit = replace(orbit, boxes=orbit.boxes + boxes)

@@ -56,6 +56,8 @@ def test_what_is_no_ring_is_told():
         (twice, np.full(80, 0.1), (0.0, 0.0)),
         (vertices[:2], widths[:2], (0.0, 0.0)),
         (vertices * np.nan, widths, (0.0, 0.0)),
+        (vertices, 0 * widths, (0.0, 0.0)),
+        (vertices[:0], widths[:0], (0.0, 0.0)),
     ):
         assert not ring_of(points, reach, center).is_ring
 

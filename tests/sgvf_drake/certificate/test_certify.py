@@ -264,3 +264,21 @@ def test_nothing_is_proved_where_results_are_rounded_to_one_side(ring, mode):
     finally:
         assert library.fesetround(0) == 0
     check_rounding()
+
+
+@pytest.mark.parametrize("width", [0.0, -1.0, 1e-3, 50.0])
+def test_a_ring_that_is_none_is_refused(ring, width):
+    """Under a right digest: what the file says is not what is proved."""
+    field, path, certificate = ring
+    (annulus,) = certificate.annuli
+    other = replace(annulus, widths=(width,) * len(annulus.widths))
+    if width == 1e-3:
+        # A ring, but one that the orbit does not keep to.
+        other = replace(
+            other,
+            center=annulus.center,
+            vertices=tuple((1.1 * x, 1.1 * y) for x, y in annulus.vertices),
+        )
+    found = check(replace(certificate, annuli=(other,)), field, path)
+    assert not found.certified
+    assert found.reason.startswith("what is claimed is not what is proved")
