@@ -1,4 +1,7 @@
-"""The report as it is read: of every experiment of the paper, and of what goes wrong."""
+"""The report as it is read: of experiments of the paper, and of what goes wrong.
+
+Those that take least, one of each form; `make bench` runs every experiment.
+"""
 
 from collections import Counter
 import json
@@ -10,6 +13,7 @@ from sgvf_drake.experiments import reproduce, run_reproduce, scenario_names
 
 DESKTOP, PHONE = (1280, 900), (390, 844)
 SIZES = [DESKTOP, PHONE]
+SCENARIOS = ["fig1_indexing", "fig2_overview", "fig3_flights", "section2_stein"]
 # Bytes that a page may have, and the contrast that WCAG asks of text.
 LARGEST, CONTRAST = 8_000_000, 4.5
 
@@ -45,9 +49,9 @@ BADGES = """[...document.querySelectorAll('main .badge')].map(badge => {
 
 @pytest.fixture(scope="module")
 def reproduced(tmp_path_factory):
-    """Every experiment of the paper, its quick case: the folder and the summary."""
+    """Experiments of the paper, their quick cases: the folder and the summary."""
     out = tmp_path_factory.mktemp("reproduced") / "out"
-    return out, run_reproduce(out, quick=True)
+    return out, run_reproduce(out, quick=True, only=SCENARIOS)
 
 
 @pytest.fixture(scope="module")
@@ -89,29 +93,27 @@ def show(page, size, scheme="light"):
 # What the experiments of the package find, quickly.
 
 
-def test_every_experiment_runs_and_is_reported(reproduced):
+def test_experiments_run_and_are_reported(reproduced):
     out, summary = reproduced
-    assert list(summary["scenarios"]) == scenario_names()
-    errors = {name: entry["error"] for name, entry in summary["scenarios"].items()}
-    assert errors == dict.fromkeys(scenario_names())
-    assert summary["complete"] is True
+    errors = {name: summary["scenarios"][name]["error"] for name in SCENARIOS}
+    assert errors == dict.fromkeys(SCENARIOS)
     assert (out / reproduce.REPORT).stat().st_size < LARGEST
 
 
-def test_every_experiment_puts_claims_of_the_paper_to_the_test(reproduced):
+def test_experiments_put_claims_of_the_paper_to_the_test(reproduced):
     _, summary = reproduced
-    assert {claim["scenario"] for claim in summary["claims"]} == set(scenario_names())
+    assert {claim["scenario"] for claim in summary["claims"]} == set(SCENARIOS)
     keys = Counter(claim["key"] for claim in summary["claims"])
     assert set(keys.values()) == {1}, keys
     for claim in summary["claims"]:
         assert all(claim[part].strip() for part in ("source", "statement", "evidence")), claim
     of_paper = [claim for claim in summary["claims"] if claim["of_paper"]]
-    assert sum(summary["counts"].values()) == len(of_paper) > 20
+    assert sum(summary["counts"].values()) == len(of_paper) > 5
 
 
-def test_every_experiment_shows_a_figure(reproduced):
+def test_experiments_show_a_figure(reproduced):
     out, _ = reproduced
-    for name in scenario_names():
+    for name in SCENARIOS:
         exhibits = json.loads((out / name / "summary.json").read_text())["exhibits"]
         assert any(exhibit["file"].endswith(".png") for exhibit in exhibits), name
         assert all(exhibit["caption"].strip() for exhibit in exhibits), name
@@ -120,7 +122,7 @@ def test_every_experiment_shows_a_figure(reproduced):
 def test_nothing_is_run_twice(reproduced, monkeypatch):
     out, summary = reproduced
     monkeypatch.setattr(reproduce, "run_scenario", None)
-    again = run_reproduce(out, quick=True)
+    again = run_reproduce(out, quick=True, only=SCENARIOS)
     assert {**again, "wall_s": 0} == {**summary, "wall_s": 0}
 
 

@@ -1,0 +1,31 @@
+"""Every experiment of the paper runs in its quick case, and puts a claim to the test.
+
+Run by `make bench`; the times are printed and saved in build/bench.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from sgvf_drake.experiments import run_reproduce, scenario_names
+
+pytestmark = pytest.mark.benchmark
+
+Save = Callable[[pd.DataFrame, str], None]
+
+
+def test_every_experiment_runs(save: Save, tmp_path: Path) -> None:
+    summary = run_reproduce(tmp_path / "out", quick=True)
+    entries = summary["scenarios"]
+    save(
+        pd.DataFrame([{"scenario": name, **entry} for name, entry in entries.items()]),
+        "reproduce",
+    )
+    assert {name: entry["error"] for name, entry in entries.items()} == dict.fromkeys(
+        scenario_names()
+    )
+    assert summary["complete"] is True
+    assert {claim["scenario"] for claim in summary["claims"]} == set(scenario_names())
+    assert len([claim for claim in summary["claims"] if claim["of_paper"]]) > 20
