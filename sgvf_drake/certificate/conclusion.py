@@ -125,7 +125,7 @@ def _orbits(field: GuidingField, proved: Proved, propose: ProposeRings) -> list[
         orbit = _uniqueness(field, proved, component, result)
         normalised = field.cloud.normalize(points)
         for annulus in propose(number, normalised):
-            orbit = _lap(field, proved, annulus, orbit)
+            orbit = _lap(field, proved, component, annulus, orbit)
             if orbit.annulus is not None:
                 break
         orbits.append(orbit)
@@ -145,16 +145,13 @@ def _uniqueness(
     return _Orbit(replace(result, orbit_unique=found.proved or None), boxes=found.evaluated)
 
 
-def _lap(field: GuidingField, proved: Proved, annulus: Annulus, orbit: _Orbit) -> _Orbit:
-    """Returns an orbit with the time of its lap, where a ring holds it.
-
-    A closed orbit in {V <= c_out} is in the tube, since V falls above.
-    """
-    levels, unit = proved.levels, field.cloud.unit_length
-    if not annulus.is_ring:
+def _lap(
+    field: GuidingField, proved: Proved, component: int, annulus: Annulus, orbit: _Orbit
+) -> _Orbit:
+    """Returns an orbit with the time of its lap, where a ring in its component holds it."""
+    if not _is_within(proved, component, annulus):
         return orbit
-    if levels.level_range(annulus.squares())[1].max() > proved.conditions.c_out:
-        return orbit
+    unit = field.cloud.unit_length
     traps, boxes = is_trapping(field, annulus)
     orbit = replace(orbit, boxes=orbit.boxes + boxes)
     if not traps:
@@ -168,3 +165,18 @@ def _lap(field: GuidingField, proved: Proved, annulus: Annulus, orbit: _Orbit) -
             result = replace(orbit.result, lap_time_low=low * unit, lap_time_high=high * unit)
             return replace(orbit, result=result, annulus=annulus)
     return orbit
+
+
+def _is_within(proved: Proved, component: int, annulus: Annulus) -> bool:
+    """Whether a ring lies in the component of {V <= c_out} that holds one of the tube.
+
+    A closed orbit in it is then in that component of the tube, since V falls above.  The ring
+    hangs together, so one of its points tells which component it is in.
+    """
+    if not annulus.is_ring:
+        return False
+    highest = proved.levels.level_range(annulus.squares())[1].max()
+    point = np.array(annulus.vertices[:1])
+    return bool(
+        highest <= proved.conditions.c_out and proved.shape.component_of(point)[0] == component
+    )

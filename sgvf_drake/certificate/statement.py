@@ -87,8 +87,8 @@ class PieceResult:
             hole once.
         orbit_unique: Whether it is the only one there, and attracts all that enters; None: it
             is not known.
-        lap_time_low: Time of a lap, at least; None: nothing is known, as where the piece is
-            not star-shaped.
+        lap_time_low: Time of a lap on the closed orbit in the thin ring, at least; None: there
+            is no such ring, as where the piece is not star-shaped.
         lap_time_high: Time of a lap, at most.
     """
 

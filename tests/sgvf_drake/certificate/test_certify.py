@@ -102,6 +102,12 @@ def test_two_rings_have_an_orbit_each(make_ring):
     found = certify(field, path)
     assert found.certified, found.reason
     assert [piece.holes for piece in found.pieces] == [1, 1]
+    laps = [piece.lap_time_high for piece in found.pieces]
+    assert laps[0] < laps[1]
+    # The ring around one piece says nothing of the other.
+    swapped = check(replace(found, annuli=found.annuli[::-1]), field, path)
+    assert not swapped.certified
+    assert [piece.lap_time_high for piece in swapped.pieces] == [None, None]
 
 
 def test_the_unit_of_the_waypoints_does_not_matter(make_ring, ring):
