@@ -78,22 +78,6 @@ class Shape:
         centers = self.cover.lower + 2 * half * (cells + 0.5)
         return Boxes(centers, np.full(len(centers), half))
 
-    def components_in(self, squares: Boxes) -> IntArray:
-        """Returns the numbers of the components that squares of one size may touch.
-
-        Args:
-            squares: Of the size of the raster's or a multiple, on the grid of that size.
-        """
-        cells = np.argwhere(self.labels > 0)
-        side = 2 * squares.half[0]
-        of_cells, of_squares = (
-            np.floor((points - self.cover.lower) / side).astype(np.intp)
-            for points in (self.cover.lower + self.cover.side * (cells + 0.5), squares.centers)
-        )
-        width = round(-2 * self.cover.lower[0] / side)
-        inside = np.isin(of_cells @ [width, 1], of_squares @ [width, 1])
-        return np.unique(self.labels[tuple(cells[inside].T)])
-
     def component_of(self, points: FloatArray) -> IntArray:
         """Returns the numbers, from 1, of the components that points (n, 2) are in; or 0."""
         rows, columns = self.cover.cells_of(points).T
