@@ -1,10 +1,22 @@
 # Two commands for a fresh machine: `make demo` runs the main job, `make test` the tests.
-# Each makes the environment it needs in .venv, from the versions in constraints.txt.
+# Each makes the environment that it needs, from the versions in constraints.txt.
+#
+#   PYTHON=python3.13   with another Python; its environment lies beside the others
+#   VERSIONS=newest     with the newest versions that pip finds, in place of constraints.txt
 
 PYTHON ?= python3
-VENV := .venv
+VERSIONS ?= pinned
+CONSTRAINTS_pinned := -c constraints.txt
+CONSTRAINTS_newest := --upgrade --upgrade-strategy eager
+ifeq ($(origin CONSTRAINTS_$(VERSIONS)),undefined)
+$(error VERSIONS is `pinned` or `newest`, not `$(VERSIONS)`)
+endif
+
+# .venv, or for example .venv-python3.13-newest.
+VENV := .venv$(patsubst %,-%,$(filter-out python3,$(notdir $(PYTHON))))$(patsubst %,-%,$(filter-out pinned,$(VERSIONS)))
 BIN := $(VENV)/bin
-INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check $(CONSTRAINTS_$(VERSIONS))
+TEST := $(BIN)/python -m pytest -n auto --dist loadfile
 AS_ROOT := $(if $(filter 0,$(shell id -u)),,sudo)
 # The networks are small: more threads cost more than they bring.
 export OMP_NUM_THREADS ?= 1
@@ -19,11 +31,11 @@ demo: $(VENV)/.run-time
 	$(BIN)/sgvf demo --out demo --overwrite
 
 test: $(VENV)/.development browser
-	$(BIN)/python -m pytest -m "not benchmark and not full" -n auto --dist loadfile
+	$(TEST) -m "not benchmark and not full"
 
 # With what takes long: run it before an issue is called done.
 test-full: $(VENV)/.development browser
-	$(BIN)/python -m pytest -m "not benchmark" -n auto --dist loadfile
+	$(TEST) -m "not benchmark"
 
 # Trains the fields anew that the tests read: for a recipe that has changed on purpose.
 test-data: $(VENV)/.development
@@ -56,7 +68,7 @@ bench-learning: $(VENV)/.development
 	$(BIN)/python -m sgvf_drake.experiments.quality --out build/bench-learning --suite full
 
 clean:
-	rm -rf $(VENV) demo build site dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	rm -rf .venv* demo build site dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
 
 $(VENV)/.run-time: pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)

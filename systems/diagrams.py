@@ -160,7 +160,6 @@ def MakeSimulator(diagram: Any, context: Any = None, step: float = INTEGRATION_S
         integration_scheme="runge_kutta3",
         max_step_size=step,
         use_error_control=False,
-        publish_every_time_step=False,
         # Otherwise the configuration sets the Context back to zero.
         start_time=ToFloat(simulator.get_context().get_time()),
     )
