@@ -1,0 +1,25 @@
+"""Formulas of the pages, from LaTeX to MathML, which browsers draw without a library.
+
+In the sources a formula stands in dollars, as GitHub renders it too: `$x$` in a line, and
+`$$x$$` as a paragraph.  The Markdown extension arithmatex marks them, and this turns them into
+MathML when the site is built, so that its pages need no network.
+"""
+
+import html
+import re
+
+from latex2mathml.converter import convert
+
+FORMULA = re.compile(
+    r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', flags=re.DOTALL
+)
+
+
+def on_page_content(content: str, **_: object) -> str:
+    """Replaces the formulas of a page."""
+    return FORMULA.sub(_in_mathml, content)
+
+
+def _in_mathml(formula: re.Match[str]) -> str:
+    display = "block" if formula[1] == "div" else "inline"
+    return convert(html.unescape(formula[2]).strip(), display=display)
