@@ -13,6 +13,10 @@ from latex2mathml.converter import convert
 FORMULA = re.compile(
     r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', flags=re.DOTALL
 )
+# What latex2mathml leaves out: bars that belong to what they enclose, and the space between
+# the name of a function and its argument.
+BARS = {r"\lvert": r"\left|", r"\rvert": r"\right|"}
+NAMED_FUNCTION = re.compile(r"<m[io]>[a-z]{2,}</m[io]>(?=<mi>)")
 
 
 def on_page_content(content: str, **_: object) -> str:
@@ -21,5 +25,8 @@ def on_page_content(content: str, **_: object) -> str:
 
 
 def _in_mathml(formula: re.Match[str]) -> str:
-    display = "block" if formula[1] == "div" else "inline"
-    return convert(html.unescape(formula[2]).strip(), display=display)
+    latex = html.unescape(formula[2]).strip()
+    for sign, paired in BARS.items():
+        latex = latex.replace(sign, paired)
+    mathml = convert(latex, display="block" if formula[1] == "div" else "inline")
+    return NAMED_FUNCTION.sub(r'\g<0><mspace width="0.17em"/>', mathml)
