@@ -26,9 +26,9 @@ def times_for(duration, step=0.05):
     return np.linspace(0, duration, round(duration / step) + 1)
 
 
-def around(times, radius=3.0, speed=1.0, direction=1, center=(0.0, 0.0)):
+def around(times, radius=3.0, speed=1.0, center=(0.0, 0.0)):
     """One agent on a circle at a given speed along it; (T, 1, 2)."""
-    angle = direction * speed * times / radius
+    angle = speed * times / radius
     orbit = radius * np.column_stack([np.cos(angle), np.sin(angle)]) + np.asarray(center)
     return orbit[:, None, :]
 
@@ -37,28 +37,69 @@ def measure(times, positions, reference=CIRCLE, **kwargs):
     return follow_metrics(times, positions, U, BOX, reference, **kwargs)
 
 
-def test_a_perfect_lap():
-    times = times_for(LAP)
-    metrics = measure(times, around(times))
+TIPPED = np.arctan2(0.8, 0.6)
+# Duration, radius and angle over time; what holds of the agent, by the initials of (reached,
+# settled, lapped, stalled, out), its laps, and the root mean square of its error.
+AGENTS = {
+    "a perfect lap": (LAP, lambda t: (3, t / 3), "rsl", 1, 0),
+    "at an offset": (1.5 * LAP, lambda t: (3.05, t / 3), "rsl", 1.5, 0.05),
+    "clockwise": (2 * LAP, lambda t: (3, -t / 3), "rsl", -2, 0),
+    "most of a lap": (0.99 * LAP, lambda t: (3, t / 3), "r", 0.99, np.nan),
+    "back and forth": (4 * LAP, lambda t: (3.02, 1.6 * np.sin(t / 3)), "rs", None, 0.02),
+    # By arc length, not by time.
+    "a slow one": (3 * LAP, lambda t: (3, 0.4 * t / 3), "rsl", 1.2, 0),
+    "at rest": (7.9 * U, lambda t: (3, 0), "r", 0, np.nan),
+    "at rest for 8 U": (8.1 * U, lambda t: (3, 0), "rx", 0, np.nan),
+    "at rest for long": (100 * U, lambda t: (3, 0), "rsx", 0, 0),
+    # The span is a diagonal: each coordinate spans its part of it.
+    "spans .48 U": (20.0, lambda t: (0.24 * U * np.sin(7 * t), TIPPED), "x", None, np.nan),
+    "spans .52 U": (20.0, lambda t: (0.26 * U * np.sin(7 * t), TIPPED), "", None, np.nan),
+    "comes to .09 U": (5.0, lambda t: (3 + 0.09 * U, t / 3), "r", None, np.nan),
+    "comes to .11 U": (5.0, lambda t: (3 + 0.11 * U, t / 3), "", None, np.nan),
+    "stays at .29 U": (2 * LAP, lambda t: (3 + 0.29 * U, t / 3), "sl", 2, 0.29 * U),
+    "stays at .31 U": (2 * LAP, lambda t: (3 + 0.31 * U, t / 3), "", None, np.nan),
+    "goes to 1.49 boxes": (
+        *(10.0, lambda t: (1.49 * 3.75 * np.sin(np.pi * t / 10), -np.pi / 2)),
+        *("r", None, np.nan),
+    ),
+    "goes to 1.51 boxes": (
+        *(10.0, lambda t: (1.51 * 3.75 * np.sin(np.pi * t / 10), -np.pi / 2)),
+        *("ro", None, np.nan),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", AGENTS)
+def test_an_agent_on_a_circle(name):
+    duration, motion, flags, laps, rms = AGENTS[name]
+    times = times_for(duration)
+    radius, angle = (np.broadcast_to(value, times.shape) for value in motion(times))
+    positions = np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
+    metrics = measure(times, positions[:, None, :])
+    found = zip(
+        "rslxo",
+        (metrics.reached, metrics.settled, metrics.lapped, metrics.stalled, metrics.left),
+        strict=True,
+    )
+    assert "".join(letter for letter, holds in found if holds[0]) == flags
+    np.testing.assert_allclose(metrics.rms, rms, atol=SAGITTA)
+    np.testing.assert_allclose(metrics.maximum, rms, atol=SAGITTA)
+    assert (metrics.samples[0] == 0) == np.isnan(rms)
+    if laps is not None:
+        np.testing.assert_allclose(metrics.laps, laps, rtol=1e-6)
+    error = None if np.isnan(rms) else pytest.approx(rms, abs=SAGITTA)
     assert metrics.summary() == {
-        "reach_fraction": 1.0,
-        "lap_fraction": 1.0,
+        "reach_fraction": float("r" in flags),
+        "lap_fraction": float("l" in flags),
         "end_fraction": None,
-        "stall_fraction": 0.0,
-        "leave_fraction": 0.0,
-        "cross_track_rms": pytest.approx(0, abs=SAGITTA),
-        "cross_track_max": pytest.approx(0, abs=SAGITTA),
+        "stall_fraction": float("x" in flags),
+        "leave_fraction": float("o" in flags),
+        "cross_track_rms": error,
+        "cross_track_max": error,
     }
-    np.testing.assert_allclose(metrics.laps, 1, rtol=1e-6)
-    np.testing.assert_array_equal(metrics.samples, len(times))
 
 
-def test_an_offset_is_the_error_of_the_last_lap_only():
-    times = times_for(1.5 * LAP)
-    metrics = measure(times, around(times, radius=3.05))
-    assert metrics.lapped.all()
-    np.testing.assert_allclose(metrics.rms, 0.05, atol=SAGITTA)
-    np.testing.assert_allclose(metrics.maximum, 0.05, atol=SAGITTA)
+def test_the_error_is_that_of_the_last_lap_only():
     times = times_for(3 * LAP)
     radius = 3 + np.where(times < 1.5 * LAP, 0.2, 0.01 * np.sin(5 * times / 3))
     angle = times / 3
@@ -67,42 +108,10 @@ def test_an_offset_is_the_error_of_the_last_lap_only():
     np.testing.assert_allclose(metrics.rms, 0.01 / np.sqrt(2), rtol=1e-2)
     np.testing.assert_allclose(metrics.maximum, 0.01, rtol=1e-2)
     np.testing.assert_allclose(metrics.laps, 3, rtol=1e-6)
-    # One lap of samples, and the two at its ends.
+    # One lap of samples, and the two at its ends; more where the agent is slow.
     assert abs(metrics.samples[0] - LAP / 0.05) <= 2
-    # A clockwise lap counts and is negative.
-    times = times_for(2 * LAP)
-    metrics = measure(times, around(times, direction=-1))
-    assert metrics.lapped.all()
-    np.testing.assert_allclose(metrics.laps, -2, rtol=1e-6)
-
-
-def test_most_of_a_lap_is_none():
-    times = times_for(0.99 * LAP)
-    metrics = measure(times, around(times))
-    assert not (metrics.lapped | metrics.settled).any()
-    assert metrics.reached.all()
-    assert np.isnan(metrics.rms).all()
-    np.testing.assert_array_equal(metrics.samples, 0)
-    summary = metrics.summary()
-    assert summary["cross_track_rms"] is summary["cross_track_max"] is None
-
-
-def test_half_a_lap_back_and_forth_settles_but_does_not_lap():
-    times = times_for(4 * LAP)
-    angle = 0.5 * np.pi * np.sin(times / 3)
-    positions = 3.02 * np.column_stack([np.cos(angle), np.sin(angle)])[:, None, :]
-    metrics = measure(times, positions)
-    assert metrics.settled.all()
-    assert not metrics.lapped.any()
-    np.testing.assert_allclose(metrics.rms, 0.02, atol=SAGITTA)
-
-
-def test_a_slow_agent_laps_by_arc_length_not_by_time():
-    times = times_for(3 * LAP)
-    metrics = measure(times, around(times, speed=0.4))
-    assert metrics.lapped.all()
-    np.testing.assert_allclose(metrics.laps, 1.2, rtol=1e-6)
-    assert metrics.samples[0] == pytest.approx(LAP / 0.4 / 0.05, abs=2)
+    slow = measure(times, around(times, speed=0.4))
+    assert slow.samples[0] == pytest.approx(LAP / 0.4 / 0.05, abs=2)
 
 
 def test_the_given_speed_scales_the_windows():
@@ -119,36 +128,6 @@ def test_the_given_speed_scales_the_windows():
     sway = 3 * np.column_stack([np.cos(half), np.sin(half)])[:, None, :]
     assert measure(times, sway, speed=2.0).settled.all()
     assert not measure(times, sway, speed=1.0).settled.any()
-
-
-def test_every_threshold():
-    """Each agent is just on one side of it; lengths in U."""
-    for duration, stalled in ((7.9, False), (8.1, True), (100.0, True)):
-        # At rest on the path.
-        times = times_for(duration * U)
-        metrics = measure(times, np.tile([[3.0, 0.0]], (len(times), 1, 1)))
-        assert metrics.stalled.tolist() == [stalled]
-        assert not metrics.lapped.any()
-        assert metrics.reached.all()
-        assert metrics.settled.tolist() == [duration == 100.0]
-    for span, stalled in ((0.48, True), (0.52, False)):
-        # The span is a diagonal: each coordinate spans its part of it.
-        times = times_for(20.0)
-        sway = 0.5 * span * U * np.sin(7 * times)[:, None] * np.array([0.6, 0.8])
-        assert measure(times, sway[:, None, :]).stalled.tolist() == [stalled]
-    for boxes, left in ((1.49, False), (1.51, True)):
-        times = times_for(10.0)
-        out = boxes * 3.75 * np.sin(np.pi * times / 10)
-        positions = np.column_stack([np.zeros_like(out), -out])[:, None, :]
-        assert measure(times, positions).left.tolist() == [left]
-    for gap, reached in ((0.09, True), (0.11, False)):
-        times = times_for(5.0)
-        metrics = measure(times, around(times, radius=3 + gap * U))
-        assert metrics.reached.tolist() == [reached]
-    for gap, lapped in ((0.29, True), (0.31, False)):
-        times = times_for(2 * LAP)
-        metrics = measure(times, around(times, radius=3 + gap * U))
-        assert metrics.lapped.tolist() == metrics.settled.tolist() == [lapped]
 
 
 def test_a_jump_between_pieces_and_an_excursion_begin_the_tail_anew():

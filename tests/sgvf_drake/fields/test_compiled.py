@@ -20,7 +20,6 @@ from sgvf_drake.fields import (
     CompiledField,
     Composition,
     GaussianMixture,
-    GuidingField,
     NormalisedComposition,
     PaperComposition,
     RobustComposition,
@@ -194,19 +193,6 @@ def test_infinite_coordinates_give_what_they_give_in_numpy(field):
         np.testing.assert_array_equal(found, np.isnan(np.concatenate([m, J.ravel()])))
 
 
-def test_the_jacobian_is_the_slope_of_the_value(make_field):
-    for recipe, ends in product(RECIPES, (0, 2)):
-        field = make_field(recipe, dim=3, ends=ends)
-        compiled = field.compiled()
-        steps = 1e-5 * field.cloud.unit_length * np.eye(3)
-        for point in queries(field, n=4):
-            _, J = compiled.value_and_jacobian(point)
-            numeric = [(compiled(point + e) - compiled(point - e)) / 2 for e in steps]
-            numeric = np.stack(numeric, axis=1) / steps[0, 0]
-            atol = 1e-6 * max(1, np.abs(J).max())
-            np.testing.assert_allclose(J, numeric, rtol=0, atol=atol)
-
-
 def test_points_of_any_kind_batches_and_the_hessian(field):
     compiled, x = field.compiled(), queries(field)
     point = np.array([3.0, 4.0])
@@ -269,32 +255,6 @@ def test_what_cannot_be_compiled_or_evaluated_is_refused(field):
 
     with pytest.raises(ConfigurationError, match="Other has no compiled form"):
         replace(field, composition=Other(0.2)).compiled()
-
-
-@pytest.mark.parametrize("factor", [1000.0, 1e-3])
-def test_another_unit_of_length(make_field, factor):
-    for recipe in RECIPES:
-        field = make_field(recipe, ends=1)
-        other = field.rescaled(factor)
-        assert_same(other, queries(other, n=3))
-        compiled, rescaled = field.compiled(), other.compiled()
-        for point in queries(field, n=3):
-            m, J = compiled.value_and_jacobian(point)
-            other_m, other_J = rescaled.value_and_jacobian(factor * point)
-            np.testing.assert_allclose(other_m, m, rtol=0, atol=1e-10)
-            atol = 1e-9 * np.abs(J).max() / factor
-            np.testing.assert_allclose(other_J, J / factor, rtol=0, atol=atol)
-
-
-def test_fields_imported_from_torch(make_sequential):
-    cloud = PointCloud(np.random.default_rng(0).uniform(-20, 30, (40, 2)))
-    networks = (
-        make_sequential([3, 16, 16, 2], "GELU"),
-        make_sequential([2, 9, 2], "Softplus", seed=1),
-    )
-    for normalise in (False, True):
-        field = GuidingField.from_torch(*networks, cloud, normalise=normalise)
-        assert_same(field, queries(field))
 
 
 def test_threads_do_not_share_anything(field):

@@ -40,35 +40,6 @@ def step_partials(compose, S, N):
     return np.stack(by_S, axis=2), np.stack(by_N, axis=2)
 
 
-def central(function, S, N, dS, dN):
-    """Central differences of a function of S and N, which returns several arrays."""
-    h = max(np.abs(dS).max(), np.abs(dN).max())
-    pairs = zip(function(S + dS, N + dN), function(S - dS, N - dN), strict=True)
-    return [(ahead - behind) / (2 * h) for ahead, behind in pairs]
-
-
-@EACH
-def test_partials_and_second_derivatives_are_finite_differences(compose):
-    for dim in (2, 3):
-        S, N = arguments(dim)
-        m, by_S, by_N = compose.value_and_partials(S, N)
-        np.testing.assert_allclose(m, compose.value(S, N), rtol=1e-13, atol=1e-15)
-        for i, e in enumerate(np.eye(dim)):
-            # |N| is seldom below 0.1, where the third derivative of its direction reaches 1e3.
-            for dS, dN, exact, atol in ((1e-4 * e, 0, by_S, 1e-8), (0, 1e-6 * e, by_N, 2e-8)):
-                (numeric,) = central(lambda a, b: [compose.value(a, b)], S, N, dS, dN)
-                np.testing.assert_allclose(exact[:, :, i], numeric, atol=atol)
-                # A complex step through the partials is their derivative.
-                step = 1e-30 / max(np.abs(dS).max(), np.abs(dN).max())
-                second = compose.value_and_partials(S + 1j * step * dS, N + 1j * step * dN)[1:]
-                numeric = central(
-                    lambda a, b: compose.value_and_partials(a, b)[1:], S, N, dS, dN
-                )
-                for a, b in zip(numeric, second, strict=True):
-                    scale = max(1.0, np.abs(a).max())
-                    np.testing.assert_allclose(b.imag / 1e-30, a, atol=1e-6 * scale)
-
-
 @EACH
 def test_partials_at_every_magnitude(compose):
     scores, tangents = (0.0, 1e-13, 1e-9, 1e-3, 1.0, 30.0, 1e3, 1e6), (0.0, 1e-9, 1.0, 1e6)

@@ -98,17 +98,6 @@ def test_lagrange_agrees_with_scipy():
     np.testing.assert_allclose(slope, other.derivative(w), rtol=1e-6, atol=1e-6)
 
 
-def test_lagrange_is_exact_for_a_polynomial():
-    curve = LagrangeCurve(bent_line(), closed=False)
-    w = np.linspace(0, curve.length, 101)
-    t = 2 * w / curve.length - 1
-    exact = np.column_stack([2 * t, t**3 - t, 0.5 * t**2])
-    second = np.column_stack([0 * t, 6 * t, 1 + 0 * t]) * (2 / curve.length) ** 2
-    c = curve.derivatives(w, 2)
-    np.testing.assert_allclose(c[0], exact, atol=1e-11)
-    np.testing.assert_allclose(c[2], second, atol=1e-7)
-
-
 def test_lagrange_swings_the_more_the_more_waypoints_there_are():
     """Runge's own function, as a curve; between 12 and 48 waypoints the error explodes."""
 

@@ -161,35 +161,6 @@ def test_features_see_positions_of_order_one_and_time_from_minus_one_to_one():
     np.testing.assert_allclose(features(np.array([[*x, t]]))[0], expected, atol=1e-5)
 
 
-@EACH
-def test_networks_of_other_activations_are_those_of_torch(make_perceptron, activation):
-    """Value, Jacobian and, by a complex step, the second derivatives."""
-    rng = np.random.default_rng(5)
-    perceptron = replace(make_perceptron(rng, 2, (9, 8), 3), activation=activation)
-    z = rng.uniform(-3, 3, (6, 2))
-
-    def evaluate(x):
-        layers = zip(perceptron.weights, perceptron.biases, strict=True)
-        for number, (weight, bias) in enumerate(layers):
-            x = x if number == 0 else getattr(nn, activation.name)()(x)
-            x = nn.functional.linear(x, torch.as_tensor(weight), torch.as_tensor(bias))
-        return x
-
-    value, jacobian = perceptron.value_and_jacobian(z)
-    np.testing.assert_array_equal(perceptron(z), value)
-    np.testing.assert_allclose(value, evaluate(torch.as_tensor(z)), rtol=1e-13, atol=1e-13)
-    steps = [perceptron.value_and_jacobian(z + 1e-30j * axis)[1].imag for axis in np.eye(2)]
-    second = np.stack(steps, axis=-1) / 1e-30
-    for point, J, H in zip(torch.as_tensor(z), jacobian, second, strict=True):
-        expected = torch.autograd.functional.jacobian(evaluate, point)
-        np.testing.assert_allclose(J, expected, rtol=1e-12, atol=1e-13)
-        for output in range(3):
-            expected = torch.autograd.functional.hessian(
-                lambda x, output=output: evaluate(x)[output], point
-            )
-            np.testing.assert_allclose(H[output], expected, rtol=1e-11, atol=1e-12)
-
-
 def test_no_points_to_evaluate(network):
     perceptron = network.to_perceptron()
     value, jacobian = perceptron.value_and_jacobian(np.empty((0, perceptron.num_inputs)))

@@ -85,10 +85,11 @@ def check_smoothed(name, seeds, farthest, **options):
         assert rms(to_path) < 0.1
         assert to_support.max() < farthest
         for line in lines(support):
-            # Half a noise level; chords across a tip of the line are shorter than the arc.
+            # Half a noise level; chords across a tip of the line are shorter than the arc, but
+            # there are few of them.
             assert steps(line).max() == pytest.approx(0.5 * support.sigma, rel=0.02)
             assert np.median(steps(line)) == pytest.approx(0.5 * support.sigma, rel=0.02)
-            assert steps(line).min() > 0.3 * support.sigma
+            assert np.quantile(steps(line), 0.05) > 0.3 * support.sigma
 
 
 @pytest.mark.parametrize("name", SHAPES)

@@ -294,7 +294,7 @@ def checks(monkeypatch, *results):
 
 def test_a_field_that_fails_is_trained_again_with_another_seed(concentric, monkeypatch):
     seen = checks(monkeypatch, FAILED, PASSED)
-    result = train(concentric[0], short(30, max_restarts=2))
+    result = train(concentric[0], short(max_restarts=2))
     assert result.restarts == 1
     assert result.self_check.passed
     assert result.field is seen[1]
@@ -308,9 +308,9 @@ def test_a_field_that_fails_is_trained_again_with_another_seed(concentric, monke
     assert result.settings.score_hidden == (64, 64, 64, 64)
     # The history is that of the last attempt, which had half as many iterations more.
     scores = result.history[result.history["stage"] == "score"]
-    assert scores["iteration"].max() == 44
+    assert scores["iteration"].max() == 17
     checks(monkeypatch, FAILED, PASSED)
-    again = train(concentric[0], short(30, max_restarts=2))
+    again = train(concentric[0], short(max_restarts=2))
     np.testing.assert_array_equal(weights(again.field), weights(result.field))
     # One that always fails is flagged and returned.
     for max_restarts in (0, 2):
@@ -377,7 +377,7 @@ def test_a_reversed_field_travels_the_other_way():
     cloud, path = make_shape("circle", 100)
     x = path.pieces[0].sample(100)
     tangent = np.column_stack([-x[:, 1], x[:, 0]]) / 3
-    for direction, sign in (("ccw", 1), ("cw", -1), ("reverse", -1)):
+    for direction, sign in (("ccw", 1), ("cw", -1)):
         result = train(cloud, short(150, recipe="exact", direction=direction))
         assert (sign * (result.field(x) * tangent).sum(axis=1)).min() > 0.8
         assert result.self_check.passed, result.self_check.message
