@@ -37,9 +37,17 @@ def measure(times, positions, reference=CIRCLE, **kwargs):
     return follow_metrics(times, positions, U, BOX, reference, **kwargs)
 
 
+def flags_of(metrics):
+    """What holds of each agent: reached, settled, lapped, ended, at a stop (x), out."""
+    names = ("reached", "settled", "lapped", "ended", "stalled", "left")
+    held = np.array([getattr(metrics, name) for name in names]).T
+    letters = np.array(list("rslexo"))
+    return ["".join(letters[row]) for row in held]
+
+
 TIPPED = np.arctan2(0.8, 0.6)
-# Duration, radius and angle over time; what holds of the agent, by the initials of (reached,
-# settled, lapped, stalled, out), its laps, and the root mean square of its error.
+# Duration, radius and angle over time; what holds of the agent, see `flags_of`, its laps, and
+# the root mean square of its error.
 AGENTS = {
     "a perfect lap": (LAP, lambda t: (3, t / 3), "rsl", 1, 0),
     "at an offset": (1.5 * LAP, lambda t: (3.05, t / 3), "rsl", 1.5, 0.05),
@@ -76,12 +84,7 @@ def test_an_agent_on_a_circle(name):
     radius, angle = (np.broadcast_to(value, times.shape) for value in motion(times))
     positions = np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
     metrics = measure(times, positions[:, None, :])
-    found = zip(
-        "rslxo",
-        (metrics.reached, metrics.settled, metrics.lapped, metrics.stalled, metrics.left),
-        strict=True,
-    )
-    assert "".join(letter for letter, holds in found if holds[0]) == flags
+    assert flags_of(metrics) == [flags]
     np.testing.assert_allclose(metrics.rms, rms, atol=SAGITTA)
     np.testing.assert_allclose(metrics.maximum, rms, atol=SAGITTA)
     assert (metrics.samples[0] == 0) == np.isnan(rms)
@@ -181,44 +184,54 @@ def travel(start, stop, times=OPEN_TIMES):
     return start + np.sign(stop - start) * np.minimum(times, abs(stop - start))
 
 
+def out_and_back(far):
+    """To the end, so many U beyond it, and back."""
+    return np.interp(OPEN_TIMES, [0, 6, 6.3, 6.6], [-3, 3, 3 + far * U, 3])
+
+
+def aside(far):
+    """So many U beside the line for a second on the way."""
+    return far * U * np.interp(OPEN_TIMES, [2, 2.5, 3, 3.5], [0, 1, 1, 0])
+
+
 @pytest.fixture(params=[LINE, LINE_TREE], ids=["path", "tree"])
 def line(request):
     return request.param
 
 
+# Coordinates over time, and what holds of the agent.
+ON_LINE = {
+    "from the start": (travel(-3, 3), 0, "rse"),
+    "from the middle": (travel(0.5, 3), 0, "rse"),
+    "rests .09 U short": (travel(-3, 3 - 0.09 * U), 0, "rse"),
+    "rests .09 U beyond": (travel(-3, 3 + 0.09 * U), 0, "rse"),
+    "rests .11 U short": (travel(-3, 3 - 0.11 * U), 0, "rsx"),
+    "rests .11 U beyond": (travel(-3, 3 + 0.11 * U), 0, "rsx"),
+    "rests .2 U short": (travel(-3, 3 - 0.2 * U), 0, "rsx"),
+    "runs past it": (-3 + OPEN_TIMES, 0, "ro"),
+    "returns from .35 U": (out_and_back(0.35), 0, "rsx"),
+    "returns from .25 U": (out_and_back(0.25), 0, "rse"),
+    "starts at the end": (travel(3, 3), 0, "rse"),
+    # What it leaves on the way, it skips.
+    "leaves by .4 U": (travel(-3, 3), aside(0.4), "rsx"),
+    "leaves by .28 U": (travel(-3, 3), aside(0.28), "rse"),
+}
+
+
 def test_only_who_comes_to_rest_at_the_end_has_ended(line):
-    # From the start, from the middle, and within a tenth of a unit of the end.
-    x = [travel(-3, 3), travel(0.5, 3), travel(-3, 3 - 0.09 * U), travel(-3, 3 + 0.09 * U)]
-    metrics = measure(OPEN_TIMES, on_line(*x), line)
-    assert (metrics.ended & metrics.settled & metrics.open).all()
-    assert not (metrics.lapped | metrics.stalled).any()
-    summary = metrics.summary()
-    assert summary["reach_fraction"] == summary["end_fraction"] == 1.0
-    assert summary["lap_fraction"] is None
-    assert summary["stall_fraction"] == 0.0
-    # Stopping early is a stall.
-    x = [travel(-3, 3 - 0.2 * U), travel(-3, 3 - 0.11 * U), travel(-3, 3 + 0.11 * U)]
-    metrics = measure(OPEN_TIMES, on_line(*x), line)
-    assert metrics.stalled.all()
-    assert not (metrics.ended | metrics.lapped).any()
-    assert metrics.summary()["end_fraction"] == 0.0
-    # Running past the end is none, nor is it, to be there in the last sample.
-    metrics = measure(OPEN_TIMES, on_line(-3 + OPEN_TIMES), line)
-    assert (metrics.reached & metrics.left).all()
-    assert not (metrics.ended | metrics.settled).any()
+    agents = [np.column_stack(np.broadcast_arrays(x, y)) for x, y, _ in ON_LINE.values()]
+    metrics = measure(OPEN_TIMES, np.stack(agents, axis=1), line)
+    found = dict(zip(ON_LINE, flags_of(metrics), strict=True))
+    assert found == {name: flags for name, (_, _, flags) in ON_LINE.items()}
+    assert metrics.open.all()
+    assert metrics.summary()["lap_fraction"] is None
+    assert metrics.summary()["end_fraction"] == pytest.approx(7 / 13)
+    start = [*ON_LINE].index("starts at the end")
+    assert (metrics.samples[start], metrics.rms[start]) == (1, 0.0)
+    # To be at the end in the last sample, on the way past it, is no end.
     passing = OPEN_TIMES <= 6.0
     metrics = measure(OPEN_TIMES[passing], on_line(-3 + OPEN_TIMES)[passing], line)
     assert not metrics.ended.any()
-    # Nor is coming back to it from far enough.
-    beyond, within = (
-        np.interp(OPEN_TIMES, [0, 6, 6.3, 6.6], [-3, 3, 3 + far * U, 3]) for far in (0.35, 0.25)
-    )
-    metrics = measure(OPEN_TIMES, on_line(beyond, within), line)
-    assert metrics.ended.tolist() == [False, True]
-    # Starting at the end is one sample.
-    metrics = measure(OPEN_TIMES, on_line(travel(3, 3)), line)
-    assert metrics.ended.all()
-    assert (metrics.samples.tolist(), metrics.rms.tolist()) == ([1], [0.0])
 
 
 def test_rest_lasts_two_units_of_time_and_spans_a_twentieth_of_a_unit(line):
@@ -328,13 +341,6 @@ def test_a_shortcut_across_a_hairpin_is_no_end():
         assert metrics.ended.tolist() == [True, False, True]
         assert metrics.stalled.tolist() == [False, True, False]
         np.testing.assert_array_equal(metrics.summary()["end_fraction"], 2 / 3)
-
-
-def test_leaving_the_path_on_the_way_skips_it(line):
-    aside = np.interp(OPEN_TIMES, [2, 2.5, 3, 3.5], [0, 0.4 * U, 0.4 * U, 0])
-    for height, ended in ((1.0, False), (0.7, True)):
-        positions = np.column_stack([travel(-3, 3), height * aside])[:, None, :]
-        assert measure(OPEN_TIMES, positions, line).ended.tolist() == [ended]
 
 
 MIXED = ReferencePath((Piece(LINE.pieces[0].vertices - [0, 3.5], False), CIRCLE.pieces[0]))

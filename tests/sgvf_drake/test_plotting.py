@@ -27,13 +27,6 @@ def axes():
     return plotting.new_figure(1, 1, 4, 3)[1][0]
 
 
-@pytest.fixture
-def flight_log():
-    columns = {"time": TIMES, "vx": np.cos(TIMES), "vy": np.sin(TIMES)}
-    forces = {f"force_{n}": 1.0 + 0.1 * n + 0.0 * TIMES for n in (1, 2, 3, 4)}
-    return pd.DataFrame({**columns, **forces})
-
-
 def trajectories(agents):
     """Agents (T, n, 2) that move to the right, one above the other."""
     x = np.broadcast_to(TIMES[:, None], (len(TIMES), agents))
@@ -144,25 +137,25 @@ def test_cross_track_of_one_agent_and_of_many(axes):
     assert "[s at unit speed]" in axes.get_xlabel()
 
 
-def test_velocity(axes, flight_log):
-    x, y, speed = plotting.plot_velocity(axes, flight_log)
-    np.testing.assert_array_equal(x.get_ydata(), flight_log["vx"])
-    np.testing.assert_array_equal(y.get_ydata(), flight_log["vy"])
-    np.testing.assert_allclose(speed.get_ydata(), 1.0)
-    assert axes.get_xlabel() == "time [s]"
-    assert axes.get_ylabel() == "velocity [m/s]"
-    check_rendered(axes)
-
-
-def test_propeller_forces(axes, flight_log):
-    *forces, limit = plotting.plot_propeller_forces(axes, flight_log, 4.6)
+def test_velocity_and_propeller_forces():
+    log = pd.DataFrame({"time": TIMES, "vx": np.cos(TIMES), "vy": np.sin(TIMES)})
+    for number in (1, 2, 3, 4):
+        log[f"force_{number}"] = 1.0 + 0.1 * number
+    one, other = plotting.new_figure(1, 2, 8, 3)[1]
+    x, y, speed = plotting.plot_velocity(one, log)
+    for line, expected in ((x, log["vx"]), (y, log["vy"]), (speed, np.ones(len(log)))):
+        np.testing.assert_allclose(line.get_ydata(), expected, rtol=1e-12)
+    *forces, limit = plotting.plot_propeller_forces(other, log, 4.6)
     assert [line.get_ydata()[0] for line in forces] == pytest.approx([1.1, 1.2, 1.3, 1.4])
     assert len({line.get_color() for line in forces}) == 4
     assert list(limit.get_ydata()) == [4.6, 4.6]
-    assert axes.get_ylabel() == "propeller force [N]"
-    assert axes.get_ylim()[0] == 0.0
-    assert axes.get_ylim()[1] > 4.6
-    check_rendered(axes)
+    assert other.get_ylim()[0] == 0.0
+    assert other.get_ylim()[1] > 4.6
+    units = [axes.get_ylabel() for axes in (one, other)]
+    assert units == ["velocity [m/s]", "propeller force [N]"]
+    for axes in (one, other):
+        assert axes.get_xlabel() == "time [s]"
+        check_rendered(axes)
 
 
 def test_losses(axes):

@@ -6,10 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import (
-    AdjustableField,
-    Field,
     GaussianMixture,
     RobustComposition,
     ScoreField,
@@ -84,16 +81,6 @@ def test_value_and_derivatives_are_those_of_an_independent_implementation(make_f
     check_against_torch(field, queries(field, n=10))
     in_space = make_field(recipe, dim=3)
     check_against_torch(in_space, queries(in_space, n=4))
-    # Numerically too: torch differentiates what was written here.
-    x, h = queries(field), 1e-5 * field.cloud.unit_length
-    J, H = field.value_and_jacobian(x)[1], field.hessian(x)
-    ahead, behind = (
-        [field.value_and_jacobian(x + s * h * e) for e in np.eye(2)] for s in (1, -1)
-    )
-    for order, exact in ((0, J), (1, H)):
-        numeric = [(a[order] - b[order]) / (2 * h) for a, b in zip(ahead, behind, strict=True)]
-        atol = 1e-6 * np.abs(exact).max()
-        np.testing.assert_allclose(exact, np.stack(numeric, axis=order + 2), atol=atol)
 
 
 def test_the_field_without_the_projection(make_field):
@@ -104,48 +91,6 @@ def test_the_field_without_the_projection(make_field):
         check_against_torch(bare, x)
         np.testing.assert_array_equal(bare.rescaled(4.0)(4 * x), bare(x))
         assert not bare.with_approach_length(2.0).composition.projects
-
-
-def test_one_point_a_batch_none_and_other_types_of_input(field):
-    x = queries(field)
-    for method, dims in (("__call__", 1), ("value_and_jacobian", 2), ("hessian", 3)):
-        many, one, none = (
-            getattr(field, method)(points) for points in (x, x[7], np.empty((0, 2)))
-        )
-        if method == "value_and_jacobian":
-            many, one, none = (values[1] for values in (many, one, none))
-        assert many.shape == (15, *[2] * dims)
-        assert one.shape == (2,) * dims
-        assert none.shape == (0, *[2] * dims)
-        # BLAS sums one row in another order than many.
-        np.testing.assert_allclose(one, many[7], rtol=1e-8, atol=1e-10)
-    for method in (field, field.score, field.tangent):
-        np.testing.assert_allclose(method(x[7]), method(x)[7], rtol=1e-12)
-    np.testing.assert_array_equal(field([3, 4]), field(np.array([3.0, 4.0])))
-    assert field(np.array([3, 4], dtype=np.float32)).dtype == np.float64
-    for shape in [(), (3,), (1,), (4, 3), (0,), (2, 2, 2)]:
-        for method in (field, field.value_and_jacobian, field.hessian, field.score):
-            with pytest.raises(ValueError, match=r"expected positions of shape \(2,\) or \(n"):
-                method(np.zeros(shape))
-
-
-@pytest.mark.parametrize("factor", [1000.0, 1e-3, 2.0**10])
-def test_another_unit_of_length(field, factor):
-    """m is a direction and keeps its value; J is per length, H per length squared."""
-    other, x = field.rescaled(factor), queries(field)
-    m, J = field.value_and_jacobian(x)
-    other_m, other_J = other.value_and_jacobian(factor * x)
-    np.testing.assert_allclose(other_m, m, rtol=1e-9, atol=1e-11)
-    J = J / factor
-    np.testing.assert_allclose(other_J, J, rtol=1e-7, atol=1e-9 * np.abs(J).max())
-    H = field.hessian(x) / factor**2
-    np.testing.assert_allclose(
-        other.hessian(factor * x), H, rtol=1e-6, atol=1e-8 * np.abs(H).max()
-    )
-    np.testing.assert_allclose(other.score(factor * x), field.score(x) / factor, rtol=1e-9)
-    np.testing.assert_allclose(other.tangent(factor * x), field.tangent(x), rtol=1e-9)
-    assert other.approach_length == pytest.approx(factor * field.approach_length)
-    assert other.mixture.sigma == pytest.approx(factor * field.mixture.sigma)
 
 
 def test_score_and_tangent_are_the_parts_of_the_value(field):
@@ -179,25 +124,6 @@ def test_score_and_tangent_are_the_parts_of_the_value(field):
         np.testing.assert_allclose(J, np.stack(numeric, axis=2), atol=1e-6 * np.abs(J).max())
 
 
-def test_another_approach_length(field):
-    assert field.approach_length == pytest.approx(0.4**2 / 0.8 * field.cloud.unit_length)
-    wide = field.with_approach_length(3 * field.approach_length)
-    assert type(wide) is type(field)
-    assert wide.approach_length == pytest.approx(3 * field.approach_length)
-    assert wide.composition.gain == pytest.approx(field.composition.gain / 3)
-    assert wide.composition == replace(field.composition, gain=wide.composition.gain)
-    assert field.composition.gain == 0.8, "the field itself is left as it was"
-    x = queries(field)
-    np.testing.assert_array_equal(wide.score(x), field.score(x))
-    np.testing.assert_array_equal(wide.tangent(x), field.tangent(x))
-    assert not np.allclose(wide(x), field(x), atol=1e-3)
-    for value in (0.0, -1.0, np.nan, np.inf):
-        with pytest.raises(ConfigurationError, match="length must be a positive number"):
-            field.with_approach_length(value)
-        with pytest.raises(ConfigurationError, match="scale must be a positive number"):
-            field.rescaled(value)
-
-
 def test_the_approach_length_is_the_slope_of_the_turn_and_keeps_the_direction_on_the_path():
     """Over a line, at a small distance r, m points back by r / approach_length."""
     length, sigma = 0.7, 0.4
@@ -209,16 +135,6 @@ def test_the_approach_length_is_the_slope_of_the_turn_and_keeps_the_direction_on
     for other in (0.1, length, 5.0):
         on_path = RobustComposition(sigma**2 / other, sigma).value(0 * v, 1e8 * v)
         np.testing.assert_array_equal(on_path, v)
-
-
-def test_it_is_a_field_and_finite_far_outside_the_box(field):
-    assert isinstance(field, Field)
-    assert isinstance(field, AdjustableField)
-    assert not isinstance(field.mixture, Field)
-    for distance in (1e2, 1e4, 1e8):
-        x = field.cloud.center + distance * np.array([[1.0, 0.0], [-0.6, 0.8]])
-        for values in (*field.value_and_jacobian(x), field.hessian(x)):
-            assert np.isfinite(values).all()
 
 
 def test_where_the_tangent_vanishes_the_field_stays_smooth(make_field):

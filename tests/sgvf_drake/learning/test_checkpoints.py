@@ -105,16 +105,9 @@ BAD_CONTENT = (
         "state_dict is missing beside hiddens, activation",
     ),
     (lambda state: {"model": state}, "'model' is not the weight or bias"),
-    (lambda state: {k: state[k] for k in state if k != "2.bias"}, "2.bias is missing"),
-    (lambda state: state | {"sigma": torch.ones(1)}, "'sigma' is not the weight or bias"),
-    (changed("2.weight", lambda a: a[:, 1:]), r"2.weight is of shape \(16, 15\)"),
+    # What else arrays can be, `test_importing` refuses.
     (changed("2.weight", lambda a: a * torch.nan), "2.weight is not all finite"),
-    (changed("0.bias", lambda a: a.long()), "0.bias is not a plain array"),
     (changed("0.weight", lambda a: a[:, 1:]), "a score network .* not 2 and 2"),
-    (
-        lambda state: state | {"4.weight": torch.ones(3, 16), "4.bias": torch.ones(3)},
-        "a score network .* not 3 and 3",
-    ),
     (told(activation="Mish"), "unknown activation 'Mish'"),
     (told(activation=3), "unknown activation 3"),
     (
