@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from sgvf_drake.arrays import BoolArray, FloatArray, IntArray
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
-from sgvf_drake.paths.reference import Reference, ReferencePath, TreeReference
+from sgvf_drake.paths import Reference
 
 REACH_DISTANCE = 0.1
 """Reached: within this many U of the path, once."""
@@ -176,7 +176,7 @@ def follow_metrics(
     lower, upper = (np.asarray(corner, dtype=np.float64) for corner in box)
     outside = np.abs(positions - (lower + upper) / 2) > LEAVE_BOXES * (upper - lower) / 2
     return FollowMetrics(
-        reached=_any(tails.distance <= REACH_DISTANCE * unit_length),
+        reached=np.any(tails.distance <= REACH_DISTANCE * unit_length, axis=0),
         settled=settled,
         lapped=lapped,
         ended=ended,
@@ -269,22 +269,13 @@ def _terminal_ends(reference: Reference, ends: FloatArray) -> FloatArray:
     """Returns the terminal end of each piece (P, d); infinite where it has none."""
     terminal = np.full((len(reference.lengths), reference.dim), np.inf)
     for piece in np.flatnonzero(~reference.closed & (reference.lengths > 0)):
-        first, last = _end_vertices(reference, int(piece))
+        first, last = reference.first_and_last(int(piece))
         to_first, to_last = (
             np.linalg.norm(ends - vertex, axis=1).min(initial=np.inf)
             for vertex in (first, last)
         )
         terminal[piece] = first if to_first < to_last else last
     return terminal
-
-
-def _end_vertices(reference: Reference, piece: int) -> FloatArray:
-    """Returns the first and the last vertex (2, d) of an open piece."""
-    if isinstance(reference, TreeReference):
-        return reference.points[reference.pieces[piece].order[[0, -1]]]
-    if isinstance(reference, ReferencePath):
-        return reference.pieces[piece].vertices[[0, -1]]
-    raise TypeError(f"do not know the ends of a {type(reference).__name__}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -355,7 +346,7 @@ def _last_laps(
     sample = np.arange(len(times))[:, None]
     whole = np.abs(tails.gain) >= (1 - ROUNDING) * tails.length
     whole &= (sample >= tails.first) & (tails.length > 0)
-    passed_all = _any(whole)
+    passed_all = np.any(whole, axis=0)
     by_gain = len(times) - 1 - np.argmax(whole[::-1], axis=0)
     begin = np.where(passed_all, by_gain, begin)
     return settled | passed_all, passed_all & closed, begin
@@ -380,11 +371,6 @@ def since_last(condition: BoolArray) -> IntArray:
     """Returns the sample (n,) after the last one at which a condition (T, n) held."""
     after = len(condition) - np.argmax(condition[::-1], axis=0)
     return np.where(condition.any(axis=0), after, 0)
-
-
-def _any(condition: BoolArray) -> BoolArray:
-    """Returns whether a condition (T, n) held at any time, (n,)."""
-    return np.asarray(condition.any(axis=0))
 
 
 def _window_start(times: FloatArray, duration: ArrayLike) -> IntArray:

@@ -20,13 +20,17 @@ from sgvf_drake.fields.composition import (
     PaperComposition,
     RobustComposition,
 )
-from sgvf_drake.fields.guiding import GuidingField, ScoreNetwork
-from sgvf_drake.fields.importing import import_field
+from sgvf_drake.fields.guiding import (
+    GuidingField,
+    ScoreField,
+    TangentField,
+    import_field,
+    load_field,
+)
 from sgvf_drake.fields.mixture import GaussianMixture
-from sgvf_drake.fields.parts import ScoreField, TangentField
-from sgvf_drake.fields.perceptron import FourierFeatures, Perceptron
+from sgvf_drake.fields.perceptron import FourierFeatures, Perceptron, ScoreNetwork
 from sgvf_drake.fields.recovery import recover_waypoints
-from sgvf_drake.fields.storage import load_field, save_field
+from sgvf_drake.fields.storage import save_field
 
 __all__ = [
     "PAPER_GAIN",

@@ -4,6 +4,7 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
+from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields.base import FloatArray
 from sgvf_drake.paths import PointCloud
 
@@ -70,3 +71,9 @@ class AnalyticField(ABC):
                 f"expected positions of shape ({self.dim},) or (n, {self.dim}), not {x.shape}"
             )
         return self.cloud.normalize(np.atleast_2d(x)), x.shape
+
+
+def check_positive(name: str, value: float) -> None:
+    """Raises ConfigurationError unless a value is a positive number."""
+    if not (np.isfinite(value) and value > 0):
+        raise ConfigurationError(f"{name} must be a positive number, not {value}")

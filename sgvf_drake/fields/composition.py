@@ -33,13 +33,13 @@ class Composition(ABC):
 
     gain: float
 
-    @abstractmethod
     def tangent(self, N: FloatArray) -> FloatArray:
-        """Returns the tangent field v: (n, d) -> (n, d)."""
+        """Returns the tangent field v, N as it comes unless a kind has another: (n, d)."""
+        return N
 
-    @abstractmethod
     def tangent_and_partial(self, N: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Returns v (n, d) and dv/dN (n, d, d)."""
+        return N, _identity(N)
 
     @abstractmethod
     def components(self, S: FloatArray, N: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -61,12 +61,6 @@ class Composition(ABC):
 class PaperComposition(Composition):
     """m = s + v with s = tanh(k_s |S|) S / |S| (paper, Section III), v = N as it comes."""
 
-    def tangent(self, N: FloatArray) -> FloatArray:
-        return N
-
-    def tangent_and_partial(self, N: FloatArray) -> tuple[FloatArray, FloatArray]:
-        return N, _identity(N)
-
     def components(self, S: FloatArray, N: FloatArray) -> tuple[FloatArray, FloatArray]:
         a, _ = _squash_factors(self.gain, _dot(S, S))
         return a[:, None] * S, N
@@ -87,12 +81,6 @@ class NormalisedComposition(Composition):
 
     delta is tiny, and keeps m finite and smooth where s and v cancel.
     """
-
-    def tangent(self, N: FloatArray) -> FloatArray:
-        return N
-
-    def tangent_and_partial(self, N: FloatArray) -> tuple[FloatArray, FloatArray]:
-        return N, _identity(N)
 
     def components(self, S: FloatArray, N: FloatArray) -> tuple[FloatArray, FloatArray]:
         s, v = self._sum.components(S, N)

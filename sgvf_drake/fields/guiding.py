@@ -1,86 +1,28 @@
-"""`GuidingField`: a trained guiding vector field, evaluated in NumPy float64."""
+"""`GuidingField`: a guiding vector field, with its ways from files and modules and to them."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass
 from os import PathLike
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
-
-from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields.analytic import AnalyticField
 from sgvf_drake.fields.base import FloatArray
-from sgvf_drake.fields.composition import PAPER_GAIN, Composition, RobustComposition
-from sgvf_drake.fields.mixture import GaussianMixture
+from sgvf_drake.fields.compiled import CompiledField
+from sgvf_drake.fields.composed import ComposedField
+from sgvf_drake.fields.composition import PAPER_GAIN
+from sgvf_drake.fields.importing import imported, network_of
 from sgvf_drake.fields.perceptron import Perceptron
-from sgvf_drake.fields.rest import Rest
+from sgvf_drake.fields.storage import read_field, save_field
 from sgvf_drake.paths import PointCloud
 
-if TYPE_CHECKING:
-    from sgvf_drake.fields.compiled import CompiledField
 
-
-@dataclass(frozen=True, eq=False)
-class ScoreNetwork:
-    """A network of (x, t) that gives `scale` times the score at time t.
-
-    Attributes:
-        network: d + 1 inputs (x in normalised units, t in [0, 1]), d outputs.
-        scale: What divides the outputs at t = 1 to make the score: sigma where the network
-            was trained on q = sigma S, 1 where it was trained on S itself.
-    """
-
-    network: Perceptron
-    scale: float
-
-    @cached_property
-    def _at_data_end(self) -> Perceptron:
-        return self.network.with_last_input(1.0)
-
-    def score(self, x: FloatArray) -> FloatArray:
-        """Returns S(x, t = 1): (n, d) -> (n, d)."""
-        return self._at_data_end(x) / self.scale
-
-    def score_and_jacobian(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Returns S(x, t = 1), (n, d), and its Jacobian, (n, d, d)."""
-        output, jacobian = self._at_data_end.value_and_jacobian(x)
-        return output / self.scale, jacobian / self.scale
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class GuidingField(AnalyticField):
+class GuidingField(ComposedField):
     """The score-induced guiding vector field m = s + v of a cloud of waypoints.
 
     Calls take and return NumPy float64 in the unit of the waypoints, for one point (d,) or
     a batch (n, d).  |m| is about 1 on the path whatever the unit, so speed times m is a
-    velocity.  Inside, everything is normalised to a half-extent of 4.
-
-    Attributes:
-        cloud: The waypoints it was made from; their extent is the normalisation.
-        sigma: The noise level of the score, normalised units.
-        score_model: The raw score S, a network or the exact mixture.
-        tangent_network: The network N of the tangent field, d inputs and d outputs.
-        composition: How S and N make m.
-        recipe: `paper`, `robust` or `exact`; `imported` where it was trained elsewhere.
-        seed: The seed of the training run.
-        support: The points whose mixture the score is that of, (M, d) in the user's unit;
-            None: the waypoints themselves.
-        end_points: The terminal ends of open paths, (E, d) in the user's unit, at which
-            robots come to rest; None: there are none.
-        provenance: The rest of what is known of its making, as plain JSON values.
+    velocity.  The attributes are those of `ComposedField`.
     """
-
-    cloud: PointCloud
-    sigma: float
-    score_model: ScoreNetwork | GaussianMixture
-    tangent_network: Perceptron
-    composition: Composition
-    recipe: str
-    seed: int
-    support: FloatArray | None = None
-    end_points: FloatArray | None = None
-    provenance: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
     def from_torch(
@@ -106,126 +48,99 @@ class GuidingField(AnalyticField):
         Raises:
             ConfigurationError: A module is anything else; the message names the layer.
         """
-        from sgvf_drake.fields.modules import field_from_modules
+        networks = network_of(score, "score"), network_of(tangent, "tangent")
+        return import_field(*networks, cloud, gain=gain, normalise=normalise)
 
-        return field_from_modules(score, tangent, cloud, gain=gain, normalise=normalise)
-
-    def __repr__(self) -> str:
-        return f"GuidingField({self.recipe}, seed {self.seed}, {self.cloud!r})"
-
-    @property
-    def mixture(self) -> GaussianMixture:
-        """The exact mixture whose score is learned, in the user's unit."""
-        points = self.cloud.points if self.support is None else self.support
-        return GaussianMixture(points, self.sigma * self.cloud.unit_length)
-
-    @property
-    def ends(self) -> FloatArray:
-        """The terminal ends of open paths, (E, d) in the user's unit; E may be zero."""
-        return np.empty((0, self.dim)) if self.end_points is None else self.end_points
-
-    def score(self, x: FloatArray) -> FloatArray:
-        """Returns the raw score S ~ grad log p at t = 1, per unit of length."""
-        z, shape = self._normalized(x)
-        return self.score_model.score(z).reshape(shape) / self.cloud.unit_length
-
-    def tangent(self, x: FloatArray) -> FloatArray:
-        """Returns the tangent field v, no unit."""
-        z, shape = self._normalized(x)
-        return self.composition.tangent(self.tangent_network(z)).reshape(shape)
-
-    def components(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Returns s and v of m = s + v as they stand in m: the normalised score, the rest.
-
-        Of shape (d,) or (n, d), as x.  In the robust composition both are weighted, and the
-        part of the score along the tangent is taken out near the path.
-        """
-        z, shape = self._normalized(x)
-        s, v = self._components(z)
-        return s.reshape(shape), v.reshape(shape)
-
-    def rescaled(self, factor: float) -> "GuidingField":
-        """Returns the same field in another unit: positions are multiplied by `factor`.
-
-        Raises:
-            ConfigurationError: The factor is not a positive number.
-        """
-        if not (np.isfinite(factor) and factor > 0):
-            raise ConfigurationError(f"the scale must be a positive number, not {factor}")
-        support, ends = (
-            None if points is None else points * factor
-            for points in (self.support, self.end_points)
-        )
-        cloud = PointCloud(self.cloud.points * factor)
-        return replace(self, cloud=cloud, support=support, end_points=ends)
-
-    @property
-    def approach_length(self) -> float:
-        """The distance sigma^2 / k_s over which m turns from approaching to following.
-
-        In the user's unit: at a small distance r from the path, the part of m that points
-        to it is r / approach_length.
-        """
-        return self.sigma**2 / self.composition.gain * self.cloud.unit_length
-
-    def with_approach_length(self, length: float) -> "GuidingField":
-        """Returns the field that turns to the path over another distance.
-
-        A vehicle at speed v sees the path as a rate v / approach_length, which has to stay
-        below its own bandwidth.
-
-        Raises:
-            ConfigurationError: The length is not a positive number.
-        """
-        if not (np.isfinite(length) and length > 0):
-            raise ConfigurationError(f"the length must be a positive number, not {length}")
-        gain = self.sigma**2 * self.cloud.unit_length / length
-        return replace(self, composition=replace(self.composition, gain=gain))
-
-    def compiled(self) -> "CompiledField":
+    def compiled(self) -> CompiledField:
         """Returns the same field, compiled by numba for calls with one point at a time.
 
         Only then is numba imported, which takes about a second.
         """
-        from sgvf_drake.fields.compiled import CompiledField
-
         return CompiledField(self)
 
     def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:
         """Writes the field as one safetensors file; see `storage.save_field`."""
-        from sgvf_drake.fields.storage import save_field
-
         save_field(self, path, overwrite=overwrite)
 
-    def _value(self, z: FloatArray) -> FloatArray:
-        s, v = self._components(z)
-        return s + v
 
-    def _components(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
-        S, N = self.score_model.score(z), self.tangent_network(z)
-        s, v = self.composition.components(S, N)
-        if self._rest is not None:
-            w = self._rest.weight(z)[:, None]
-            s_rest, v_rest = self._rest.composition.components(S, N)
-            s, v = s + w * (s_rest - s), v + w * (v_rest - v)
-        return s, v
+def load_field(path: str | PathLike[str]) -> GuidingField:
+    """Reads a field that `GuidingField.save` wrote.
+
+    Args:
+        path: The file.
+
+    Raises:
+        FieldFileError: The file is missing, damaged, foreign or of another version.
+    """
+    return GuidingField(**read_field(path))
+
+
+def import_field(
+    score: Perceptron,
+    tangent: Perceptron,
+    cloud: PointCloud,
+    *,
+    gain: float = PAPER_GAIN,
+    normalise: bool = False,
+    files: Mapping[str, str] | None = None,
+) -> GuidingField:
+    """Returns the field m = s + v of two networks that work in the unit of the waypoints.
+
+    Args:
+        score: d + 1 inputs (x, t), d outputs: the score S where t = 1.
+        tangent: d inputs, d outputs: the tangent field v.
+        cloud: The waypoints; their extent is the normalisation.
+        gain: k_s of s = tanh(k_s |S|) S / |S|, with S per unit of the waypoints.
+        normalise: Whether m is brought to length one.
+        files: The names of the files that they come from, for the provenance.
+
+    Raises:
+        ConfigurationError: The networks and the waypoints do not fit together, or the gain is
+            not a positive number.
+    """
+    return GuidingField(**imported(score, tangent, cloud, gain, normalise, files or {}))
+
+
+@dataclass(frozen=True, eq=False)
+class ScoreField(AnalyticField):
+    """The raw score S of a guiding field, per unit of length; as `GuidingField.score`.
+
+    Attributes:
+        field: The guiding field.
+    """
+
+    field: ComposedField
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "cloud", self.field.cloud)
+
+    def _value(self, z: FloatArray) -> FloatArray:
+        return self.field.score_model.score(z) / self.cloud.unit_length
 
     def _value_and_jacobian(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
-        S, dS = self.score_model.score_and_jacobian(z)
-        N, dN = self.tangent_network.value_and_jacobian(z)
-        m, by_score, by_tangent = self.composition.value_and_partials(S, N)
-        J = by_score @ dS + by_tangent @ dN
-        if self._rest is None:
-            return m, J
-        w, dw = self._rest.weight_and_gradient(z)
-        rest, by_score, by_tangent = self._rest.composition.value_and_partials(S, N)
-        change = rest - m
-        J_rest = by_score @ dS + by_tangent @ dN
-        J = J + w[:, None, None] * (J_rest - J) + change[:, :, None] * dw[:, None, :]
-        return m + w[:, None] * change, J
+        S, J = self.field.score_model.score_and_jacobian(z)
+        return S / self.cloud.unit_length, J / self.cloud.unit_length
 
-    @cached_property
-    def _rest(self) -> Rest | None:
-        if len(self.ends) == 0 or not isinstance(self.composition, RobustComposition):
-            return None
-        return Rest.at(self.cloud.normalize(self.ends), self.composition)
+
+@dataclass(frozen=True, eq=False)
+class TangentField(AnalyticField):
+    """The tangent field v of a guiding field, no unit; as `GuidingField.tangent`.
+
+    Its zeros are those of the tangent network.
+
+    Attributes:
+        field: The guiding field.
+    """
+
+    field: ComposedField
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "cloud", self.field.cloud)
+
+    def _value(self, z: FloatArray) -> FloatArray:
+        return self.field.composition.tangent(self.field.tangent_network(z))
+
+    def _value_and_jacobian(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        N, J = self.field.tangent_network.value_and_jacobian(z)
+        v, by_network = self.field.composition.tangent_and_partial(N)
+        return v, by_network @ J

@@ -2,10 +2,13 @@
 
 A score network takes (x, t) and gives d numbers, a tangent network takes x and gives d.  The
 layers come as a state dict, or as a torch module, of which nothing but its methods is used:
-torch is never imported.
+torch is never imported.  What a module computes is read off its layers, and then compared
+with what it does compute: a forward method may hold anything.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+import copy
 from dataclasses import replace
 from itertools import pairwise
 import re
@@ -14,12 +17,12 @@ from typing import Any
 import numpy as np
 
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.fields.activation import Activation
+from sgvf_drake.fields.activation import SILU, Activation, find_activation
+from sgvf_drake.fields.analytic import check_positive
 from sgvf_drake.fields.base import FloatArray
-from sgvf_drake.fields.composition import PAPER_GAIN, NormalisedComposition, PaperComposition
-from sgvf_drake.fields.guiding import GuidingField, ScoreNetwork
+from sgvf_drake.fields.composition import NormalisedComposition, PaperComposition
 from sgvf_drake.fields.mixture import GaussianMixture
-from sgvf_drake.fields.perceptron import Perceptron
+from sgvf_drake.fields.perceptron import Perceptron, ScoreNetwork
 from sgvf_drake.paths import PointCloud
 
 RECIPE = "imported"
@@ -31,31 +34,28 @@ DEFAULT_SIGMA = 0.1
 SIGMA_RANGE = (0.02, 1.0)
 # Float64 holds the square of it.
 LARGEST_SCORE = 1e100
+# Parameters of torch's activations, and the values for which they are the functions here.
+PARAMETERS: dict[str, dict[str, Any]] = {
+    "Softplus": {"beta": 1, "threshold": 20},
+    "GELU": {"approximate": "none"},
+    "ELU": {"alpha": 1},
+}
+# A module is compared at random points of the paper's box, to what a float32 inside of it
+# may lose, relative to the largest value.
+CHECK_POINTS = 32
+CHECK_HALF_SIZE = 5.0
+CHECK_TOLERANCE = 1e-5
 
 
-def import_field(
+def imported(
     score: Perceptron,
     tangent: Perceptron,
     cloud: PointCloud,
-    *,
-    gain: float = PAPER_GAIN,
-    normalise: bool = False,
-    files: Mapping[str, str] | None = None,
-) -> GuidingField:
-    """Returns the field m = s + v of two networks that work in the unit of the waypoints.
-
-    Args:
-        score: d + 1 inputs (x, t), d outputs: the score S where t = 1.
-        tangent: d inputs, d outputs: the tangent field v.
-        cloud: The waypoints; their extent is the normalisation.
-        gain: k_s of s = tanh(k_s |S|) S / |S|, with S per unit of the waypoints.
-        normalise: Whether m is brought to length one.
-        files: The names of the files that they come from, for the provenance.
-
-    Raises:
-        ConfigurationError: The networks and the waypoints do not fit together, or the gain is
-            not a positive number.
-    """
+    gain: float,
+    normalise: bool,
+    files: Mapping[str, str],
+) -> dict[str, Any]:
+    """Returns the arguments of the field of two networks; see `guiding.import_field`."""
     check_widths(score, "score")
     check_widths(tangent, "tangent")
     dims = [tangent.num_inputs, score.num_inputs - 1, cloud.dim]
@@ -64,30 +64,29 @@ def import_field(
             "the tangent network is of {} dimensions, the score network of {}, and the "
             "waypoints of {}".format(*dims)
         )
-    if not (np.isfinite(gain) and gain > 0):
-        raise ConfigurationError(f"k_s must be a positive number, not {gain}")
+    check_positive("k_s", gain)
     unit = cloud.unit_length
     # With S in normalised units U times as large, k_s |S| stays what it is.
     model = ScoreNetwork(_normalised_input(score, cloud), 1 / unit)
     composition = NormalisedComposition if normalise else PaperComposition
-    return GuidingField(
-        cloud=cloud,
-        sigma=measured_sigma(model, cloud.normalize(cloud.points)),
-        score_model=model,
-        tangent_network=_normalised_input(tangent, cloud),
-        composition=composition(gain / unit),
-        recipe=RECIPE,
-        seed=0,
-        provenance={
+    return {
+        "cloud": cloud,
+        "sigma": measured_sigma(model, cloud.normalize(cloud.points)),
+        "score_model": model,
+        "tangent_network": _normalised_input(tangent, cloud),
+        "composition": composition(gain / unit),
+        "recipe": RECIPE,
+        "seed": 0,
+        "provenance": {
             "import": {
-                "files": dict(files or {}),
+                "files": dict(files),
                 "score_activation": score.activation.name,
                 "tangent_activation": tangent.activation.name,
                 "gain": gain,
                 "normalised": normalise,
             }
         },
-    )
+    }
 
 
 def perceptron_from_arrays(arrays: Mapping[Any, Any], activation: Activation) -> Perceptron:
@@ -116,6 +115,44 @@ def perceptron_from_arrays(arrays: Mapping[Any, Any], activation: Activation) ->
                 f"{after}.weight is of shape {b.shape}, but {before}.weight {a.shape}"
             )
     return Perceptron(tuple(weights), tuple(biases), activation=activation)
+
+
+def network_of(module: Any, kind: str) -> Perceptron:
+    """Returns the network of a torch module; errors tell which, `score` or `tangent`."""
+    try:
+        return perceptron_from_module(module, kind)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{kind} network: {error}") from None
+
+
+def perceptron_from_module(module: Any, kind: str) -> Perceptron:
+    """Returns the network of a torch module whose layers are Linear and one activation.
+
+    Args:
+        module: A Sequential, or a module that holds one.  It stays as it is.
+        kind: `score`, of (x, t) in one argument or two, or `tangent`, of x.
+
+    Raises:
+        ConfigurationError: It is no such module, or computes anything else; names the layer.
+    """
+    if not (hasattr(module, "named_modules") and hasattr(module, "state_dict")):
+        raise ConfigurationError(f"a torch module is needed, not {type(module).__name__}")
+    network = perceptron_from_arrays(module.state_dict(), _activation(module))
+    check_widths(network, kind)
+    z = np.random.default_rng(0).uniform(
+        -CHECK_HALF_SIZE, CHECK_HALF_SIZE, (CHECK_POINTS, network.num_inputs)
+    )
+    if kind == "score":
+        z[:, -1] = 1.0
+    expected = network(z)
+    tolerance = CHECK_TOLERANCE * np.abs(expected).max()
+    for found in _evaluations(module, z, kind):
+        if found.shape == expected.shape and np.abs(found - expected).max() <= tolerance:
+            return network
+    raise ConfigurationError(
+        f"{type(module).__name__} does not compute what its layers alone do; "
+        "pass their Sequential, if that is the network"
+    )
 
 
 def check_widths(network: Perceptron, kind: str) -> None:
@@ -209,3 +246,65 @@ def _normalised_input(network: Perceptron, cloud: PointCloud) -> Perceptron:
     return replace(
         network, weights=(weight, *network.weights[1:]), biases=(bias, *network.biases[1:])
     )
+
+
+def _activation(module: Any) -> Activation:
+    """Returns the activation between the Linear layers of a module."""
+    steps = [
+        (name, leaf)
+        for name, leaf in module.named_modules(remove_duplicate=False)
+        if not any(True for _ in leaf.children()) and not _does_nothing(name, leaf)
+    ]
+    activations = []
+    for number, (name, leaf) in enumerate(steps):
+        is_layer, described = type(leaf).__name__ == "Linear", _describe(name, leaf)
+        if is_layer != (number % 2 == 0):
+            wanted = "Linear layer" if number % 2 == 0 else "activation"
+            raise ConfigurationError(f"{described} stands where the next {wanted} has to be")
+        if not is_layer:
+            activations.append(_as_activation(leaf, described))
+    if steps and len(steps) % 2 == 0:
+        raise ConfigurationError(f"{_describe(*steps[-1])} comes after the last Linear layer")
+    names = sorted({activation.name for activation in activations})
+    if len(names) > 1:
+        raise ConfigurationError(f"the activations differ: {', '.join(names)}")
+    return activations[0] if activations else SILU
+
+
+def _does_nothing(name: str, leaf: Any) -> bool:
+    kind = type(leaf).__name__
+    if "Dropout" in kind and leaf.training:
+        raise ConfigurationError(f"{_describe(name, leaf)} is in training; call eval() first")
+    return "Dropout" in kind or kind in ("Identity", "Sequential")
+
+
+def _describe(name: str, leaf: Any) -> str:
+    return f"layer {name!r} ({type(leaf).__name__})"
+
+
+def _as_activation(leaf: Any, described: str) -> Activation:
+    kind = type(leaf).__name__
+    try:
+        activation = find_activation(kind)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{described}: {error}") from None
+    for parameter, needed in PARAMETERS.get(kind, {}).items():
+        value = getattr(leaf, parameter, needed)
+        if value != needed:
+            raise ConfigurationError(f"{described} has {parameter}={value!r}, not {needed!r}")
+    return activation
+
+
+def _evaluations(module: Any, z: FloatArray, kind: str) -> Iterator[FloatArray]:
+    """Gives what a module makes of points, for each way to call it that works."""
+    twin = copy.deepcopy(module).cpu().double().eval()
+    inputs = next(iter(twin.state_dict().values())).new_tensor(z)
+    calls: list[tuple[Any, ...]] = [(inputs,)]
+    if kind == "score":
+        # Times as a column, one for each point, or one for all.
+        times = (inputs[:, -1:], inputs[:, -1], inputs[0, -1], 1.0)
+        calls += [(inputs[:, :-1], t) for t in times]
+    for arguments in calls:
+        # Code of others, called in a way that it may not be made for, can raise anything.
+        with suppress(Exception):
+            yield np.asarray(twin(*arguments).detach().numpy())

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.fields.analytic import check_positive
 from sgvf_drake.fields.base import FloatArray
 
 # Points times waypoints that one chunk of an evaluation holds at a time: 2 MB of float64,
@@ -32,8 +32,7 @@ class GaussianMixture:
     sigma: float
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.sigma) and self.sigma > 0):
-            raise ConfigurationError(f"sigma must be a positive number, not {self.sigma}")
+        check_positive("sigma", self.sigma)
 
     @property
     def dim(self) -> int:

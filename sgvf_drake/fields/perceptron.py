@@ -1,6 +1,7 @@
-"""A multi-layer perceptron evaluated in NumPy, with its exact Jacobian."""
+"""A multi-layer perceptron evaluated in NumPy, with its exact Jacobian; one that is a score."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -96,3 +97,30 @@ class Perceptron:
         frequencies = self.features.frequencies
         phases = self.features.phases + frequencies[:, -1] * value
         return replace(self, features=FourierFeatures(frequencies[:, :-1], phases))
+
+
+@dataclass(frozen=True, eq=False)
+class ScoreNetwork:
+    """A network of (x, t) that gives `scale` times the score at time t.
+
+    Attributes:
+        network: d + 1 inputs (x in normalised units, t in [0, 1]), d outputs.
+        scale: What divides the outputs at t = 1 to make the score: sigma where the network
+            was trained on q = sigma S, 1 where it was trained on S itself.
+    """
+
+    network: Perceptron
+    scale: float
+
+    @cached_property
+    def _at_data_end(self) -> Perceptron:
+        return self.network.with_last_input(1.0)
+
+    def score(self, x: FloatArray) -> FloatArray:
+        """Returns S(x, t = 1): (n, d) -> (n, d)."""
+        return self._at_data_end(x) / self.scale
+
+    def score_and_jacobian(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Returns S(x, t = 1), (n, d), and its Jacobian, (n, d, d)."""
+        output, jacobian = self._at_data_end.value_and_jacobian(x)
+        return output / self.scale, jacobian / self.scale

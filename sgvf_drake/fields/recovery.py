@@ -9,9 +9,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from sgvf_drake.arrays import BoolArray, FloatArray
-from sgvf_drake.fields.guiding import ScoreNetwork
 from sgvf_drake.fields.importing import steepest_fall
 from sgvf_drake.fields.mixture import GaussianMixture
+from sgvf_drake.fields.perceptron import ScoreNetwork
 from sgvf_drake.paths.point_cloud import BOX_FACTOR, HALF_EXTENT_UNITS
 
 # The box of the paper's shapes, +-5, in the unit of its networks.

@@ -20,15 +20,15 @@ from safetensors.numpy import save
 from sgvf_drake.exceptions import FieldFileError, OutputExistsError
 from sgvf_drake.fields.activation import SILU, find_activation
 from sgvf_drake.fields.base import FloatArray
+from sgvf_drake.fields.composed import ComposedField
 from sgvf_drake.fields.composition import (
     Composition,
     NormalisedComposition,
     PaperComposition,
     RobustComposition,
 )
-from sgvf_drake.fields.guiding import GuidingField, ScoreNetwork
 from sgvf_drake.fields.mixture import GaussianMixture
-from sgvf_drake.fields.perceptron import FourierFeatures, Perceptron
+from sgvf_drake.fields.perceptron import FourierFeatures, Perceptron, ScoreNetwork
 from sgvf_drake.paths import PointCloud
 
 # The only entry of the metadata, which safetensors writes in random order: with one, equal
@@ -53,7 +53,7 @@ Tensors = dict[str, FloatArray]
 
 
 def save_field(
-    field: GuidingField, path: str | os.PathLike[str], *, overwrite: bool = False
+    field: ComposedField, path: str | os.PathLike[str], *, overwrite: bool = False
 ) -> None:
     """Writes `field` to `path`, whole or not at all.
 
@@ -80,12 +80,12 @@ def write_whole(path: Path, data: bytes, *, overwrite: bool) -> None:
         raise
 
 
-def field_digest(field: GuidingField) -> str:
+def field_digest(field: ComposedField) -> str:
     """Returns the SHA-256 digest of the file that a field is saved as, in hexadecimal."""
     return hashlib.sha256(_file_of(field)).hexdigest()
 
 
-def _file_of(field: GuidingField) -> bytes:
+def _file_of(field: ComposedField) -> bytes:
     tensors = {POINTS_KEY: field.cloud.points, **_pack("tangent", field.tangent_network)}
     if isinstance(field.score_model, ScoreNetwork):
         tensors |= _pack("score", field.score_model.network)
@@ -97,11 +97,8 @@ def _file_of(field: GuidingField) -> bytes:
     return save(contiguous, {HEADER_KEY: json.dumps(_header(field))})
 
 
-def load_field(path: str | os.PathLike[str]) -> GuidingField:
-    """Reads a field that `GuidingField.save` wrote.
-
-    Args:
-        path: The file.
+def read_field(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Returns the arguments of the field in a file; see `guiding.load_field`.
 
     Raises:
         FieldFileError: The file is missing, damaged, foreign or of another version.
@@ -123,14 +120,14 @@ def load_field(path: str | os.PathLike[str]) -> GuidingField:
         for key, dtype in types.items():
             if dtype != DTYPE or not np.isfinite(tensors[key]).all():
                 raise ValueError(f"tensor {key} is not all finite float64")
-        return _field(json.loads(metadata[HEADER_KEY]), tensors)
+        return _arguments(json.loads(metadata[HEADER_KEY]), tensors)
     except KeyError as error:
         raise FieldFileError(f"{path}: {error.args[0]} is missing") from None
     except (ValueError, TypeError, OverflowError, RecursionError) as error:
         raise FieldFileError(f"{path}: {error}") from None
 
 
-def _header(field: GuidingField) -> dict[str, Any]:
+def _header(field: ComposedField) -> dict[str, Any]:
     network = field.score_model if isinstance(field.score_model, ScoreNetwork) else None
     return {
         "version": VERSION,
@@ -150,7 +147,7 @@ def _header(field: GuidingField) -> dict[str, Any]:
     }
 
 
-def _field(header: Any, tensors: Tensors) -> GuidingField:
+def _arguments(header: Any, tensors: Tensors) -> dict[str, Any]:
     if not isinstance(header, dict):
         raise ValueError("the header is not a JSON object")
     if header["version"] not in READABLE_VERSIONS:
@@ -168,18 +165,18 @@ def _field(header: Any, tensors: Tensors) -> GuidingField:
         if key in tensors:
             count = max(fewest, tensors[key].size // cloud.dim)
             _check_shape(key, tensors[key], (count, cloud.dim))
-    return GuidingField(
-        cloud=cloud,
-        sigma=sigma,
-        support=tensors.get(SUPPORT_KEY),
-        end_points=tensors.get(ENDS_KEY),
-        score_model=_score_model(header, tensors, cloud, sigma),
-        tangent_network=_network("tangent", header, tensors, cloud.dim, cloud.dim),
-        composition=_composition(header, sigma),
-        recipe=_checked(header, "recipe", str),
-        seed=_checked(header, "seed", int),
-        provenance=_checked(header, "provenance", dict),
-    )
+    return {
+        "cloud": cloud,
+        "sigma": sigma,
+        "support": tensors.get(SUPPORT_KEY),
+        "end_points": tensors.get(ENDS_KEY),
+        "score_model": _score_model(header, tensors, cloud, sigma),
+        "tangent_network": _network("tangent", header, tensors, cloud.dim, cloud.dim),
+        "composition": _composition(header, sigma),
+        "recipe": _checked(header, "recipe", str),
+        "seed": _checked(header, "seed", int),
+        "provenance": _checked(header, "provenance", dict),
+    }
 
 
 def _checked(header: Mapping[str, Any], key: str, *types: type) -> Any:

@@ -1,11 +1,13 @@
 """What a training run is asked to do: the recipe, and what the user overrides of it."""
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+import math
+import operator
 from typing import Any, Literal, get_args
 
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.learning.conversions import CONVERSIONS
-from sgvf_drake.learning.direction import Direction
+from sgvf_drake.learning.direction import DIRECTIONS, Direction
 from sgvf_drake.learning.scales import SIGMA_DEFAULT
 
 Recipe = Literal["paper", "robust", "exact"]
@@ -96,7 +98,7 @@ class TrainingConfig:
             raise ConfigurationError(
                 f"unknown recipe {self.recipe!r}; choose one of {', '.join(RECIPES)}"
             )
-        for name, convert in CONVERSIONS.items():
+        for name, convert in _CONVERSIONS.items():
             value = getattr(self, name)
             if value is None and name != "seed":
                 continue
@@ -217,4 +219,81 @@ _ROBUST: dict[str, Any] = {
     "direction_weight": 1.0,
     "hint_weight": HINT_WEIGHT,
     "projection": True,
+}
+
+
+def _natural(value: Any) -> int:
+    number = int(operator.index(value))
+    if number < 0:
+        raise ValueError
+    return number
+
+
+def _count(value: Any) -> int:
+    number = _natural(value)
+    if number == 0:
+        raise ValueError
+    return number
+
+
+def _positive(value: Any) -> float:
+    if not (math.isfinite(value) and value > 0):
+        raise ValueError
+    return float(value)
+
+
+def _weight(value: Any) -> float:
+    if not (math.isfinite(value) and value >= 0):
+        raise ValueError
+    return float(value)
+
+
+def _widths(value: Any) -> tuple[int, ...]:
+    if len(value) == 0:
+        raise ValueError
+    return tuple(_count(width) for width in value)
+
+
+def _point(value: Any) -> tuple[float, ...]:
+    point = tuple(float(coordinate) for coordinate in value)
+    if not all(map(math.isfinite, point)):
+        raise ValueError
+    return point
+
+
+def _flag(value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise ValueError
+    return value
+
+
+def _direction(value: Any) -> Any:
+    choices = (value,) if isinstance(value, str) else tuple(value)
+    if not set(choices) <= {*DIRECTIONS, None}:
+        raise ValueError
+    return value if isinstance(value, str) else choices
+
+
+# By the name of the option: its value as a plain Python value, or else a ValueError, TypeError
+# or OverflowError.
+_CONVERSIONS: dict[str, Callable[[Any], Any]] = {
+    "seed": _natural,
+    "open": _flag,
+    "direction": _direction,
+    "start": _point,
+    "max_restarts": _natural,
+    "sigma_min": _positive,
+    "gain": _positive,
+    "frequency_std": _positive,
+    "num_frequencies": _natural,
+    "exact_target": _flag,
+    "score_hidden": _widths,
+    "score_iterations": _count,
+    "tangent_hidden": _widths,
+    "tangent_iterations": _count,
+    "unit_weight": _weight,
+    "orthogonality_weight": _weight,
+    "direction_weight": _weight,
+    "hint_weight": _weight,
+    "projection": _flag,
 }

@@ -10,10 +10,10 @@ from sgvf_drake.fields.activation import SILU
 from sgvf_drake.learning.config import Settings
 from sgvf_drake.learning.networks import Network
 from sgvf_drake.learning.optimization import Optimization, optimize
-from sgvf_drake.learning.schedule import NoiseSchedule
 from sgvf_drake.learning.score_matching import (
     Function,
     Losses,
+    NoiseSchedule,
     noisy_score_loss,
     paper_score_loss,
     robust_score_loss,

@@ -26,8 +26,7 @@ from sgvf_drake.learning.direction import directed
 from sgvf_drake.learning.networks import Network
 from sgvf_drake.learning.optimization import Optimization, optimize
 from sgvf_drake.learning.orientation import orientation_hint
-from sgvf_drake.learning.schedule import NoiseSchedule
-from sgvf_drake.learning.score_matching import Function, mixture_score
+from sgvf_drake.learning.score_matching import Function, NoiseSchedule, mixture_score
 from sgvf_drake.learning.score_stage import (
     PAPER_BATCH_SIZE,
     PAPER_LEARNING_RATE,

@@ -3,11 +3,11 @@
 The measurements alone use it; nothing that is trained ever sees a true path.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -53,36 +53,6 @@ class Projection:
     distance: FloatArray
     piece: IntArray
     arc: FloatArray
-
-
-class Reference(Protocol):
-    """What the metrics need to know of a path."""
-
-    @property
-    def dim(self) -> int:
-        """The dimension d of the space."""
-
-    @property
-    def lengths(self) -> FloatArray:
-        """The length of each piece, (P,)."""
-
-    @property
-    def closed(self) -> BoolArray:
-        """Whether each piece is closed, (P,)."""
-
-    @property
-    def longest(self) -> float:
-        """The length of the longest piece."""
-
-    @property
-    def waypoints(self) -> tuple[FloatArray, ...] | None:
-        """The waypoints (M, d) of each piece, if passing all of them is what makes a lap.
-
-        None where the arc length is known well enough to tell a lap by itself.
-        """
-
-    def project(self, x: FloatArray) -> Projection:
-        """Returns the nearest points of the reference to `x` (n, d)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,8 +202,54 @@ class Piece:
         return self.at(np.linspace(0, self.length, n, endpoint=not self.closed))
 
 
+class Reference(ABC):
+    """A path in pieces, as the metrics see it."""
+
+    pieces: tuple[Piece, ...] | tuple[TracedPiece, ...]
+
+    @property
+    @abstractmethod
+    def dim(self) -> int:
+        """The dimension d of the space."""
+
+    @property
+    def lengths(self) -> FloatArray:
+        """The length of each piece, (P,)."""
+        return np.array([piece.length for piece in self.pieces])
+
+    @property
+    def closed(self) -> BoolArray:
+        """Whether each piece is closed, (P,)."""
+        return np.array([piece.closed for piece in self.pieces])
+
+    @property
+    def longest(self) -> float:
+        """The length of the longest piece."""
+        return float(self.lengths.max())
+
+    @property
+    @abstractmethod
+    def waypoints(self) -> tuple[FloatArray, ...] | None:
+        """The waypoints (M, d) of each piece, if passing all of them is what makes a lap.
+
+        None where the arc length is known well enough to tell a lap by itself.
+        """
+
+    @abstractmethod
+    def first_and_last(self, piece: int) -> FloatArray:
+        """Returns the first and the last vertex of a piece, (2, d)."""
+
+    def project(self, x: FloatArray) -> Projection:
+        """Returns the nearest points of the path to `x` (n, d)."""
+        return self._segments.project(x)
+
+    @cached_property
+    @abstractmethod
+    def _segments(self) -> _Segments: ...
+
+
 @dataclass(frozen=True, eq=False)
-class ReferencePath:
+class ReferencePath(Reference):
     """The true path: one or more polylines.
 
     Attributes:
@@ -280,28 +296,14 @@ class ReferencePath:
 
     @property
     def dim(self) -> int:
-        """The dimension d of the space."""
         return int(self.pieces[0].vertices.shape[1])
-
-    @property
-    def lengths(self) -> FloatArray:
-        """The length of each piece, (P,)."""
-        return np.array([piece.length for piece in self.pieces])
-
-    @property
-    def closed(self) -> BoolArray:
-        """Whether each piece is closed, (P,)."""
-        return np.array([piece.closed for piece in self.pieces])
-
-    @property
-    def longest(self) -> float:
-        """The length of the longest piece."""
-        return float(self.lengths.max())
 
     @property
     def waypoints(self) -> None:
         """None: arc length tells a lap."""
-        return None
+
+    def first_and_last(self, piece: int) -> FloatArray:
+        return self.pieces[piece].vertices[[0, -1]]
 
     @cached_property
     def _segments(self) -> _Segments:
@@ -315,10 +317,6 @@ class ReferencePath:
             np.repeat(np.arange(len(counts)), counts),
         )
 
-    def project(self, x: FloatArray) -> Projection:
-        """Returns the nearest points of the path to `x` (n, d)."""
-        return self._segments.project(x)
-
 
 def _ends_meet(vertices: FloatArray, gap: float) -> bool:
     # Few vertices may be the corners of an open polygon, whose sides are as long as its gap.
@@ -327,8 +325,11 @@ def _ends_meet(vertices: FloatArray, gap: float) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class TreeReference:
+class TreeReference(Reference):
     """The spanning tree of a cloud, where the true path is not known.
+
+    All edges count, side branches too, and the closing edge of closed pieces: it is the one
+    edge of a loop that the tree leaves out.
 
     Attributes:
         points: (N, d) the cloud.
@@ -340,28 +341,15 @@ class TreeReference:
 
     @property
     def dim(self) -> int:
-        """The dimension d of the space."""
         return int(self.points.shape[1])
-
-    @property
-    def lengths(self) -> FloatArray:
-        """The length of each piece, (P,)."""
-        return np.array([piece.length for piece in self.pieces])
-
-    @property
-    def closed(self) -> BoolArray:
-        """Whether each piece is closed, (P,)."""
-        return np.array([piece.closed for piece in self.pieces])
-
-    @property
-    def longest(self) -> float:
-        """The length of the longest piece."""
-        return float(self.lengths.max())
 
     @cached_property
     def waypoints(self) -> tuple[FloatArray, ...]:
         """The waypoints (M, d) of each piece: a lap passes all of them."""
         return tuple(self.points[piece.indices] for piece in self.pieces)
+
+    def first_and_last(self, piece: int) -> FloatArray:
+        return self.points[self.pieces[piece].order[[0, -1]]]
 
     @cached_property
     def _segments(self) -> _Segments:
@@ -394,25 +382,12 @@ class TreeReference:
             ends: (E, d) where the field comes to rest.
             unit_length: U; an end belongs to a piece that ends within `END_REACH` of it.
         """
-
-        def has_end(piece: TracedPiece) -> bool:
-            first_and_last = self.points[piece.order[[0, -1]]]
-            between = np.linalg.norm(ends[:, None] - first_and_last, axis=2)
-            return bool(between.min(initial=np.inf) < END_REACH * unit_length)
-
-        pieces = (
-            with_ends(piece, self.points, closed=False) if has_end(piece) else piece
-            for piece in self.pieces
-        )
+        pieces = list(self.pieces)
+        for number, piece in enumerate(pieces):
+            between = np.linalg.norm(ends[:, None] - self.first_and_last(number), axis=2)
+            if between.min(initial=np.inf) < END_REACH * unit_length:
+                pieces[number] = with_ends(piece, self.points, closed=False)
         return TreeReference(self.points, tuple(pieces))
-
-    def project(self, x: FloatArray) -> Projection:
-        """Returns the nearest points of the tree to `x` (n, d).
-
-        All edges count, side branches too, and the closing edge of closed pieces: it is
-        the one edge of a loop that the tree leaves out.
-        """
-        return self._segments.project(x)
 
 
 def tree_reference(cloud: PointCloud) -> TreeReference:

@@ -1,4 +1,4 @@
-import time
+"""How well agents followed a path: known trajectories, on either side of each threshold."""
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -26,9 +26,9 @@ def times_for(duration, step=0.05):
     return np.linspace(0, duration, round(duration / step) + 1)
 
 
-def around(times, radius=3.0, speed=1.0, direction=1, center=(0.0, 0.0)):
+def around(times, radius=3.0, speed=1.0, center=(0.0, 0.0)):
     """One agent on a circle at a given speed along it; (T, 1, 2)."""
-    angle = direction * speed * times / radius
+    angle = speed * times / radius
     orbit = radius * np.column_stack([np.cos(angle), np.sin(angle)]) + np.asarray(center)
     return orbit[:, None, :]
 
@@ -37,28 +37,69 @@ def measure(times, positions, reference=CIRCLE, **kwargs):
     return follow_metrics(times, positions, U, BOX, reference, **kwargs)
 
 
-def test_a_perfect_lap():
-    times = times_for(LAP)
-    metrics = measure(times, around(times))
+def flags_of(metrics):
+    """What holds of each agent: reached, settled, lapped, ended, at a stop (x), out."""
+    names = ("reached", "settled", "lapped", "ended", "stalled", "left")
+    held = np.array([getattr(metrics, name) for name in names]).T
+    letters = np.array(list("rslexo"))
+    return ["".join(letters[row]) for row in held]
+
+
+TIPPED = np.arctan2(0.8, 0.6)
+# Duration, radius and angle over time; what holds of the agent, see `flags_of`, its laps, and
+# the root mean square of its error.
+AGENTS = {
+    "a perfect lap": (LAP, lambda t: (3, t / 3), "rsl", 1, 0),
+    "at an offset": (1.5 * LAP, lambda t: (3.05, t / 3), "rsl", 1.5, 0.05),
+    "clockwise": (2 * LAP, lambda t: (3, -t / 3), "rsl", -2, 0),
+    "most of a lap": (0.99 * LAP, lambda t: (3, t / 3), "r", 0.99, np.nan),
+    "back and forth": (4 * LAP, lambda t: (3.02, 1.6 * np.sin(t / 3)), "rs", None, 0.02),
+    # By arc length, not by time.
+    "a slow one": (3 * LAP, lambda t: (3, 0.4 * t / 3), "rsl", 1.2, 0),
+    "at rest": (7.9 * U, lambda t: (3, 0), "r", 0, np.nan),
+    "at rest for 8 U": (8.1 * U, lambda t: (3, 0), "rx", 0, np.nan),
+    "at rest for long": (100 * U, lambda t: (3, 0), "rsx", 0, 0),
+    # The span is a diagonal: each coordinate spans its part of it.
+    "spans .48 U": (20.0, lambda t: (0.24 * U * np.sin(7 * t), TIPPED), "x", None, np.nan),
+    "spans .52 U": (20.0, lambda t: (0.26 * U * np.sin(7 * t), TIPPED), "", None, np.nan),
+    "comes to .09 U": (5.0, lambda t: (3 + 0.09 * U, t / 3), "r", None, np.nan),
+    "comes to .11 U": (5.0, lambda t: (3 + 0.11 * U, t / 3), "", None, np.nan),
+    "stays at .29 U": (2 * LAP, lambda t: (3 + 0.29 * U, t / 3), "sl", 2, 0.29 * U),
+    "stays at .31 U": (2 * LAP, lambda t: (3 + 0.31 * U, t / 3), "", None, np.nan),
+    "goes to 1.49 boxes": (
+        *(10.0, lambda t: (1.49 * 3.75 * np.sin(np.pi * t / 10), -np.pi / 2)),
+        *("r", None, np.nan),
+    ),
+    "goes to 1.51 boxes": (
+        *(10.0, lambda t: (1.51 * 3.75 * np.sin(np.pi * t / 10), -np.pi / 2)),
+        *("ro", None, np.nan),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", AGENTS)
+def test_an_agent_on_a_circle(name):
+    duration, motion, flags, laps, rms = AGENTS[name]
+    times = times_for(duration)
+    radius, angle = (np.broadcast_to(value, times.shape) for value in motion(times))
+    positions = np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
+    metrics = measure(times, positions[:, None, :])
+    assert flags_of(metrics) == [flags]
+    np.testing.assert_allclose(metrics.rms, rms, atol=SAGITTA)
+    np.testing.assert_allclose(metrics.maximum, rms, atol=SAGITTA)
+    assert (metrics.samples[0] == 0) == np.isnan(rms)
+    if laps is not None:
+        np.testing.assert_allclose(metrics.laps, laps, rtol=1e-6)
+    error = None if np.isnan(rms) else pytest.approx(rms, abs=SAGITTA)
     assert metrics.summary() == {
-        "reach_fraction": 1.0,
-        "lap_fraction": 1.0,
+        "reach_fraction": float("r" in flags),
+        "lap_fraction": float("l" in flags),
         "end_fraction": None,
-        "stall_fraction": 0.0,
-        "leave_fraction": 0.0,
-        "cross_track_rms": pytest.approx(0, abs=SAGITTA),
-        "cross_track_max": pytest.approx(0, abs=SAGITTA),
+        "stall_fraction": float("x" in flags),
+        "leave_fraction": float("o" in flags),
+        "cross_track_rms": error,
+        "cross_track_max": error,
     }
-    np.testing.assert_allclose(metrics.laps, 1, rtol=1e-6)
-    np.testing.assert_array_equal(metrics.samples, len(times))
-
-
-def test_an_offset_is_the_error():
-    times = times_for(1.5 * LAP)
-    metrics = measure(times, around(times, radius=3.05))
-    assert metrics.lapped.all()
-    np.testing.assert_allclose(metrics.rms, 0.05, atol=SAGITTA)
-    np.testing.assert_allclose(metrics.maximum, 0.05, atol=SAGITTA)
 
 
 def test_the_error_is_that_of_the_last_lap_only():
@@ -70,46 +111,10 @@ def test_the_error_is_that_of_the_last_lap_only():
     np.testing.assert_allclose(metrics.rms, 0.01 / np.sqrt(2), rtol=1e-2)
     np.testing.assert_allclose(metrics.maximum, 0.01, rtol=1e-2)
     np.testing.assert_allclose(metrics.laps, 3, rtol=1e-6)
-    # One lap of samples, and the two at its ends.
+    # One lap of samples, and the two at its ends; more where the agent is slow.
     assert abs(metrics.samples[0] - LAP / 0.05) <= 2
-
-
-def test_a_clockwise_lap_counts_and_is_negative():
-    times = times_for(2 * LAP)
-    metrics = measure(times, around(times, direction=-1))
-    assert metrics.lapped.all()
-    np.testing.assert_allclose(metrics.laps, -2, rtol=1e-6)
-
-
-def test_most_of_a_lap_is_none():
-    times = times_for(0.99 * LAP)
-    metrics = measure(times, around(times))
-    assert not metrics.lapped.any()
-    assert not metrics.settled.any()
-    assert metrics.reached.all()
-    assert np.isnan(metrics.rms).all()
-    np.testing.assert_array_equal(metrics.samples, 0)
-    summary = metrics.summary()
-    assert summary["cross_track_rms"] is None
-    assert summary["cross_track_max"] is None
-
-
-def test_half_a_lap_back_and_forth_settles_but_does_not_lap():
-    times = times_for(4 * LAP)
-    angle = 0.5 * np.pi * np.sin(times / 3)
-    positions = 3.02 * np.column_stack([np.cos(angle), np.sin(angle)])[:, None, :]
-    metrics = measure(times, positions)
-    assert metrics.settled.all()
-    assert not metrics.lapped.any()
-    np.testing.assert_allclose(metrics.rms, 0.02, atol=SAGITTA)
-
-
-def test_a_slow_agent_laps_by_arc_length_not_by_time():
-    times = times_for(3 * LAP)
-    metrics = measure(times, around(times, speed=0.4))
-    assert metrics.lapped.all()
-    np.testing.assert_allclose(metrics.laps, 1.2, rtol=1e-6)
-    assert metrics.samples[0] == pytest.approx(LAP / 0.4 / 0.05, abs=2)
+    slow = measure(times, around(times, speed=0.4))
+    assert slow.samples[0] == pytest.approx(LAP / 0.4 / 0.05, abs=2)
 
 
 def test_the_given_speed_scales_the_windows():
@@ -128,69 +133,20 @@ def test_the_given_speed_scales_the_windows():
     assert not measure(times, sway, speed=1.0).settled.any()
 
 
-@pytest.mark.parametrize(("duration", "stalled"), [(7.9, False), (8.1, True), (100.0, True)])
-def test_an_agent_at_rest_on_the_path_stalls(duration, stalled):
-    times = times_for(duration * U)
-    positions = np.tile([[3.0, 0.0]], (len(times), 1, 1))
-    metrics = measure(times, positions)
-    assert metrics.stalled.tolist() == [stalled]
-    assert not metrics.lapped.any()
-    assert metrics.reached.all()
-    assert metrics.settled.tolist() == [duration == 100.0]
-
-
-@pytest.mark.parametrize(("span", "stalled"), [(0.48, True), (0.52, False)])
-def test_a_stall_spans_less_than_half_a_unit(span, stalled):
-    times = times_for(20.0)
-    # The span is a diagonal: each coordinate spans its part of it.
-    sway = 0.5 * span * U * np.sin(7 * times)[:, None] * np.array([0.6, 0.8])
-    assert measure(times, sway[:, None, :]).stalled.tolist() == [stalled]
-
-
-@pytest.mark.parametrize(("boxes", "left"), [(1.49, False), (1.51, True)])
-def test_leaving_means_one_and_a_half_boxes(boxes, left):
-    times = times_for(10.0)
-    out = boxes * 3.75 * np.sin(np.pi * times / 10)
-    positions = np.column_stack([np.zeros_like(out), -out])[:, None, :]
-    assert measure(times, positions).left.tolist() == [left]
-
-
-@pytest.mark.parametrize(("gap", "reached"), [(0.09, True), (0.11, False)])
-def test_reaching_means_a_tenth_of_a_unit(gap, reached):
-    times = times_for(5.0)
-    metrics = measure(times, around(times, radius=3 + gap * U))
-    assert metrics.reached.tolist() == [reached]
-
-
-@pytest.mark.parametrize(("gap", "lapped"), [(0.29, True), (0.31, False)])
-def test_staying_means_three_tenths_of_a_unit(gap, lapped):
-    times = times_for(2 * LAP)
-    metrics = measure(times, around(times, radius=3 + gap * U))
-    assert metrics.lapped.tolist() == [lapped]
-    assert metrics.settled.tolist() == [lapped]
-
-
-def test_a_jump_between_pieces_begins_anew():
+def test_a_jump_between_pieces_and_an_excursion_begin_the_tail_anew():
     reference = shape_path("separated-circles")
     lap = reference.longest
     times = times_for(2 * lap)
     jump = times >= 1.5 * lap
-    positions = np.where(
-        jump[:, None, None],
-        around(times, 1.5, center=(2, 0)),
-        around(times, 1.5, center=(-2, 0)),
-    )
+    circles = (around(times, 1.5, center=(x, 0)) for x in (2, -2))
+    positions = np.where(jump[:, None, None], *circles)
     metrics = measure(times, positions, reference)
-    assert not metrics.lapped.any()
-    assert not metrics.settled.any()
+    assert not (metrics.lapped | metrics.settled).any()
     np.testing.assert_array_equal(metrics.piece, 1)
     np.testing.assert_allclose(metrics.laps, 0.5, atol=0.01)
     late = times >= 0.9 * lap
     assert measure(times[~jump], positions[~jump], reference).lapped.all()
     assert not measure(times[late], positions[late], reference).settled.any()
-
-
-def test_an_excursion_begins_the_tail_anew():
     times = times_for(1.8 * LAP)
     positions = around(times)
     positions[len(times) // 2] *= 1.2
@@ -228,76 +184,73 @@ def travel(start, stop, times=OPEN_TIMES):
     return start + np.sign(stop - start) * np.minimum(times, abs(stop - start))
 
 
+def out_and_back(far):
+    """To the end, so many U beyond it, and back."""
+    return np.interp(OPEN_TIMES, [0, 6, 6.3, 6.6], [-3, 3, 3 + far * U, 3])
+
+
+def aside(far):
+    """So many U beside the line for a second on the way."""
+    return far * U * np.interp(OPEN_TIMES, [2, 2.5, 3, 3.5], [0, 1, 1, 0])
+
+
 @pytest.fixture(params=[LINE, LINE_TREE], ids=["path", "tree"])
 def line(request):
     return request.param
 
 
-def test_coming_to_rest_at_the_end(line):
-    # From the start, from the middle, and within a tenth of a unit of the end.
-    x = [travel(-3, 3), travel(0.5, 3), travel(-3, 3 - 0.09 * U), travel(-3, 3 + 0.09 * U)]
-    metrics = measure(OPEN_TIMES, on_line(*x), line)
-    assert metrics.ended.all()
-    assert metrics.settled.all()
-    assert not metrics.lapped.any()
-    assert not metrics.stalled.any()
+# Coordinates over time, and what holds of the agent.
+ON_LINE = {
+    "from the start": (travel(-3, 3), 0, "rse"),
+    "from the middle": (travel(0.5, 3), 0, "rse"),
+    "rests .09 U short": (travel(-3, 3 - 0.09 * U), 0, "rse"),
+    "rests .09 U beyond": (travel(-3, 3 + 0.09 * U), 0, "rse"),
+    "rests .11 U short": (travel(-3, 3 - 0.11 * U), 0, "rsx"),
+    "rests .11 U beyond": (travel(-3, 3 + 0.11 * U), 0, "rsx"),
+    "rests .2 U short": (travel(-3, 3 - 0.2 * U), 0, "rsx"),
+    "runs past it": (-3 + OPEN_TIMES, 0, "ro"),
+    "returns from .35 U": (out_and_back(0.35), 0, "rsx"),
+    "returns from .25 U": (out_and_back(0.25), 0, "rse"),
+    "starts at the end": (travel(3, 3), 0, "rse"),
+    # What it leaves on the way, it skips.
+    "leaves by .4 U": (travel(-3, 3), aside(0.4), "rsx"),
+    "leaves by .28 U": (travel(-3, 3), aside(0.28), "rse"),
+}
+
+
+def test_only_who_comes_to_rest_at_the_end_has_ended(line):
+    agents = [np.column_stack(np.broadcast_arrays(x, y)) for x, y, _ in ON_LINE.values()]
+    metrics = measure(OPEN_TIMES, np.stack(agents, axis=1), line)
+    found = dict(zip(ON_LINE, flags_of(metrics), strict=True))
+    assert found == {name: flags for name, (_, _, flags) in ON_LINE.items()}
     assert metrics.open.all()
-    summary = metrics.summary()
-    assert summary["reach_fraction"] == summary["end_fraction"] == 1.0
-    assert summary["lap_fraction"] is None
-    assert summary["stall_fraction"] == 0.0
-
-
-def test_stopping_early_is_a_stall(line):
-    x = [travel(-3, 3 - 0.2 * U), travel(-3, 3 - 0.11 * U), travel(-3, 3 + 0.11 * U)]
-    metrics = measure(OPEN_TIMES, on_line(*x), line)
-    assert metrics.stalled.all()
-    assert not metrics.ended.any()
-    assert not metrics.lapped.any()
-    assert metrics.summary()["end_fraction"] == 0.0
     assert metrics.summary()["lap_fraction"] is None
-
-
-def test_running_past_the_end_is_no_end(line):
-    metrics = measure(OPEN_TIMES, on_line(-3 + OPEN_TIMES), line)
-    assert metrics.reached.all()
-    assert metrics.left.all()
-    assert not metrics.ended.any()
-    assert not metrics.settled.any()
-    # Nor is it, to be at the end on the way past it in the last sample.
+    assert metrics.summary()["end_fraction"] == pytest.approx(7 / 13)
+    start = [*ON_LINE].index("starts at the end")
+    assert (metrics.samples[start], metrics.rms[start]) == (1, 0.0)
+    # To be at the end in the last sample, on the way past it, is no end.
     passing = OPEN_TIMES <= 6.0
     metrics = measure(OPEN_TIMES[passing], on_line(-3 + OPEN_TIMES)[passing], line)
     assert not metrics.ended.any()
 
 
-def test_coming_back_to_the_end_is_no_end(line):
-    beyond = np.interp(OPEN_TIMES, [0, 6, 6.3, 6.6], [-3, 3, 3 + 0.35 * U, 3])
-    within = np.interp(OPEN_TIMES, [0, 6, 6.3, 6.6], [-3, 3, 3 + 0.25 * U, 3])
-    metrics = measure(OPEN_TIMES, on_line(beyond, within), line)
-    assert metrics.ended.tolist() == [False, True]
-
-
-@pytest.mark.parametrize(("rest", "ended"), [(1.9, False), (2.1, True)])
-def test_rest_lasts_two_units_of_time(line, rest, ended):
-    # Rest counts from the stop, not from coming within a tenth of a unit of the end.
-    times = times_for(6 + rest * U, step=0.01)
-    metrics = measure(times, on_line(travel(-3, 3, times)), line)
-    assert metrics.ended.tolist() == [ended]
-    # Entered half-way, the run is shorter than the time of the whole line.
-    half = times_for(3 + rest * U, step=0.01)
-    metrics = measure(half, on_line(travel(0, 3, half)), line)
-    assert metrics.ended.tolist() == metrics.settled.tolist() == [ended]
-    # At twice the speed the same rest takes half of the time.
-    metrics = measure(times / 2, on_line(travel(-3, 3, times)), line, speed=2.0)
-    assert metrics.ended.tolist() == [ended]
-
-
-@pytest.mark.parametrize(("span", "ended"), [(0.048, True), (0.052, False)])
-def test_rest_spans_less_than_a_twentieth_of_a_unit(line, span, ended):
-    # The span is a diagonal: each coordinate spans its part of it.
-    sway = 0.5 * span * U * np.sin(7 * OPEN_TIMES)[:, None] * np.array([0.6, 0.8])
-    positions = on_line(travel(-3, 3)) + sway[:, None, :]
-    assert measure(OPEN_TIMES, positions, line).ended.tolist() == [ended]
+def test_rest_lasts_two_units_of_time_and_spans_a_twentieth_of_a_unit(line):
+    for rest, ended in ((1.9, False), (2.1, True)):
+        # Rest counts from the stop, not from coming within a tenth of a unit of the end.
+        times = times_for(6 + rest * U, step=0.01)
+        metrics = measure(times, on_line(travel(-3, 3, times)), line)
+        assert metrics.ended.tolist() == [ended]
+        # Entered half-way, the run is shorter than the time of the whole line.
+        half = times_for(3 + rest * U, step=0.01)
+        metrics = measure(half, on_line(travel(0, 3, half)), line)
+        assert metrics.ended.tolist() == metrics.settled.tolist() == [ended]
+        # At twice the speed the same rest takes half of the time.
+        metrics = measure(times / 2, on_line(travel(-3, 3, times)), line, speed=2.0)
+        assert metrics.ended.tolist() == [ended]
+    for span, ended in ((0.048, True), (0.052, False)):
+        sway = 0.5 * span * U * np.sin(7 * OPEN_TIMES)[:, None] * np.array([0.6, 0.8])
+        positions = on_line(travel(-3, 3)) + sway[:, None, :]
+        assert measure(OPEN_TIMES, positions, line).ended.tolist() == [ended]
 
 
 def test_an_end_that_is_approached_exponentially(line):
@@ -326,13 +279,6 @@ def test_resting_does_not_dilute_the_error(line):
     np.testing.assert_allclose(metrics.rms, expected, rtol=1e-9)
     np.testing.assert_allclose(metrics.maximum, np.abs(y[reach : arrival + 1]).max())
     assert metrics.summary()["cross_track_rms"] == pytest.approx(expected)
-
-
-def test_starting_at_the_end_is_one_sample(line):
-    metrics = measure(OPEN_TIMES, on_line(travel(3, 3)), line)
-    assert metrics.ended.all()
-    assert metrics.samples.tolist() == [1]
-    assert metrics.rms.tolist() == [0.0]
 
 
 def test_the_wrong_end_is_none_unless_the_field_ends_there(line):
@@ -382,29 +328,19 @@ def hairpin(width):
     return ReferencePath((Piece(vertices, closed=False),))
 
 
-@pytest.mark.parametrize("width", [0.5 * U, 1.5 * U])
-def test_a_shortcut_across_a_hairpin_is_no_end(width):
-    path = hairpin(width)
-    times = times_for(24.0)
-    s = np.minimum(times, path.longest)
-    whole = path.pieces[0].at(s)
-    # Half-way along the first strand, straight over to the second one.
-    cut = Piece(np.array([[-3.0, 0], [0, 0], [0, width], [-3, width]]), closed=False)
-    short = cut.at(np.minimum(times, cut.length))
-    # Entered on the second strand it has not skipped anything.
-    late = Piece(np.array([[0.0, 1.2 + width], [0, width], [-3, width]]), closed=False)
-    entered = late.at(np.minimum(times, late.length))
-    metrics = measure(times, np.stack([whole, short, entered], axis=1), path)
-    assert metrics.ended.tolist() == [True, False, True]
-    assert metrics.stalled.tolist() == [False, True, False]
-    np.testing.assert_array_equal(metrics.summary()["end_fraction"], 2 / 3)
-
-
-def test_leaving_the_path_on_the_way_skips_it(line):
-    aside = np.interp(OPEN_TIMES, [2, 2.5, 3, 3.5], [0, 0.4 * U, 0.4 * U, 0])
-    for height, ended in ((1.0, False), (0.7, True)):
-        positions = np.column_stack([travel(-3, 3), height * aside])[:, None, :]
-        assert measure(OPEN_TIMES, positions, line).ended.tolist() == [ended]
+def test_a_shortcut_across_a_hairpin_is_no_end():
+    for width in (0.5 * U, 1.5 * U):
+        path = hairpin(width)
+        times = times_for(24.0)
+        # Half-way along the first strand, straight over to the second one; and entered there.
+        cut = Piece(np.array([[-3.0, 0], [0, 0], [0, width], [-3, width]]), closed=False)
+        late = Piece(np.array([[0.0, 1.2 + width], [0, width], [-3, width]]), closed=False)
+        ways = (path.pieces[0], cut, late)
+        agents = [way.at(np.minimum(times, way.length)) for way in ways]
+        metrics = measure(times, np.stack(agents, axis=1), path)
+        assert metrics.ended.tolist() == [True, False, True]
+        assert metrics.stalled.tolist() == [False, True, False]
+        np.testing.assert_array_equal(metrics.summary()["end_fraction"], 2 / 3)
 
 
 MIXED = ReferencePath((Piece(LINE.pieces[0].vertices - [0, 3.5], False), CIRCLE.pieces[0]))
@@ -447,16 +383,19 @@ def test_ends_mean_nothing_to_closed_pieces():
     assert not given.open.any()
 
 
-@pytest.mark.parametrize(
-    ("others", "lap", "end"), [(CLOUD.points, 0.0, None), (LINE_TREE.points, None, 0.0)]
-)
-def test_rest_on_an_isolated_waypoint_is_a_failure(others, lap, end):
-    reference = tree_reference(PointCloud(np.concatenate([others, [[0.0, 1.9]]])))
-    times = times_for(22.0)
-    positions = np.tile([[0.0, 1.9]], (len(times), 1, 1))
-    summary = measure(times, positions, reference, ends=[[0.0, 1.9]]).summary()
-    assert (summary["lap_fraction"], summary["end_fraction"]) == (lap, end)
-    assert summary["stall_fraction"] == 1.0
+def test_rest_on_an_isolated_waypoint_is_a_failure():
+    for others, lap, end in ((CLOUD.points, 0.0, None), (LINE_TREE.points, None, 0.0)):
+        reference = tree_reference(PointCloud(np.concatenate([others, [[0.0, 1.9]]])))
+        times = times_for(2 * LAP)
+        positions = np.tile([[0.0, 1.9]], (len(times), 1, 1))
+        metrics = measure(times, positions, reference, ends=[[0.0, 1.9]])
+        assert metrics.reached.all()
+        # It is nothing to settle on.
+        assert not (metrics.settled | metrics.lapped).any()
+        np.testing.assert_array_equal(metrics.laps, 0)
+        summary = metrics.summary()
+        assert (summary["lap_fraction"], summary["end_fraction"]) == (lap, end)
+        assert summary["stall_fraction"] == 1.0
 
 
 def test_pooled_error_weighs_each_sample():
@@ -500,17 +439,7 @@ def test_with_a_tree_a_lap_passes_every_waypoint():
         assert metrics.lapped.tolist() == [lapped]
 
 
-def test_an_isolated_waypoint_is_nothing_to_settle_on():
-    cloud = PointCloud(np.concatenate([CLOUD.points, [[0.0, 0.0]]]))
-    times = times_for(2 * LAP)
-    metrics = measure(times, np.zeros((len(times), 1, 2)), tree_reference(cloud))
-    assert metrics.reached.all()
-    assert not metrics.settled.any()
-    assert not metrics.lapped.any()
-    np.testing.assert_array_equal(metrics.laps, 0)
-
-
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None, derandomize=True)
 @given(
     seed=st.integers(0, 2**32 - 1),
     angle=st.floats(0, 2 * np.pi),
@@ -547,17 +476,6 @@ def test_rigid_motion_and_scaling_change_nothing(seed, angle, scale, offset):
     np.testing.assert_allclose(after.laps, before.laps, rtol=1e-6, atol=1e-6)
 
 
-def test_a_full_run_of_400_agents_takes_seconds():
-    times = np.linspace(0, 1.5 * LAP, 1500)
-    rng = np.random.default_rng(0)
-    positions = around(times) + 0.02 * rng.standard_normal((1500, 400, 2))
-    start = time.perf_counter()
-    metrics = measure(times, positions)
-    assert time.perf_counter() - start < 20
-    assert metrics.lapped.all()
-    assert metrics.summary()["cross_track_rms"] == pytest.approx(0.02, rel=0.01)
-
-
 def test_default_duration():
     assert default_duration(CIRCLE, U) == pytest.approx(1.5 * 6 * np.pi + 15 * 0.75)
     assert default_duration(CIRCLE, U, speed=2.0) == pytest.approx(
@@ -572,23 +490,27 @@ def test_400_starts_in_the_plane_are_a_grid_of_20_by_20():
     np.testing.assert_allclose(np.unique(starts[:, 1]), np.linspace(-4, 4, 20))
 
 
-@pytest.mark.parametrize(("n", "dim"), [(1, 2), (2, 2), (5, 2), (145, 2), (27, 3), (30, 3)])
-def test_starts_are_distinct_and_inside_the_box(n, dim):
-    box = (-np.ones(dim), np.ones(dim))
-    starts = grid_starts(box, n, dim)
-    assert starts.shape == (n, dim)
-    assert len(np.unique(starts, axis=0)) == n
-    assert np.abs(starts).max() <= 1
-    np.testing.assert_array_equal(starts, grid_starts(box, n, dim))
-    if n == 1:
-        np.testing.assert_array_equal(starts, 0)
-    else:
-        np.testing.assert_array_equal(starts[[0, -1]], [-np.ones(dim), np.ones(dim)])
+def test_starts_are_distinct_and_inside_the_box():
+    for n, dim in ((1, 2), (2, 2), (5, 2), (145, 2), (27, 3), (30, 3)):
+        box = (-np.ones(dim), np.ones(dim))
+        starts = grid_starts(box, n, dim)
+        assert starts.shape == (n, dim)
+        assert len(np.unique(starts, axis=0)) == n
+        assert np.abs(starts).max() <= 1
+        np.testing.assert_array_equal(starts, grid_starts(box, n, dim))
+        corners = [np.zeros(dim)] * 2 if n == 1 else box
+        np.testing.assert_array_equal(starts[[0, -1]], corners)
 
 
-@pytest.mark.parametrize(
-    ("change", "match"),
-    [
+def test_bad_input_is_refused():
+    good = {
+        "times": np.arange(5.0),
+        "positions": np.zeros((5, 1, 2)),
+        "unit_length": U,
+        "box": BOX,
+        "reference": CIRCLE,
+    }
+    for change, match in (
         ({"times": np.zeros(5)}, "increasing"),
         ({"times": np.arange(1.0)}, "at least 2"),
         ({"positions": np.zeros((5, 2))}, r"must be \(5, n, 2\)"),
@@ -598,30 +520,15 @@ def test_starts_are_distinct_and_inside_the_box(n, dim):
         ({"speed": np.nan}, "speed must be positive"),
         ({"ends": np.zeros((2, 3))}, r"ends must be \(E, 2\), not \(2, 3\)"),
         ({"ends": np.zeros(2)}, r"ends must be \(E, 2\), not \(2,\)"),
-    ],
-)
-def test_bad_input_is_refused(change, match):
-    arguments = {
-        "times": np.arange(5.0),
-        "positions": np.zeros((5, 1, 2)),
-        "unit_length": U,
-        "box": BOX,
-        "reference": CIRCLE,
-    }
-    with pytest.raises(ConfigurationError, match=match):
-        follow_metrics(**(arguments | change))
-
-
-def test_a_position_that_is_not_finite_is_named():
+    ):
+        with pytest.raises(ConfigurationError, match=match):
+            follow_metrics(**(good | change))
     positions = np.zeros((5, 3, 2))
     positions[4, 1, 0] = np.nan
     with pytest.raises(NonFiniteValueError, match="agent 1 is not finite at time 2"):
         measure(np.linspace(0, 2, 5), positions)
     with pytest.raises(NonFiniteValueError, match="end 1 of the field is not finite"):
         measure(np.linspace(0, 2, 5), 0 * positions[:, :1], ends=[[0, 0], [0, np.inf]])
-
-
-@pytest.mark.parametrize(("n", "dim", "match"), [(0, 2, "at least 1"), (4, 3, "corners")])
-def test_bad_starts_are_refused(n, dim, match):
-    with pytest.raises(ConfigurationError, match=match):
-        grid_starts(BOX, n, dim)
+    for n, dim, match in ((0, 2, "at least 1"), (4, 3, "corners")):
+        with pytest.raises(ConfigurationError, match=match):
+            grid_starts(BOX, n, dim)

@@ -42,28 +42,22 @@ def test_systems_comes_with_this_distribution():
     assert Path(systems.__file__).parents[1] == PACKAGE.parent
 
 
-def test_every_public_name_resolves():
+def test_every_public_name_resolves_and_no_other():
     assert len(sgvf_drake.__all__) == len(set(sgvf_drake.__all__))
     for name in sgvf_drake.__all__:
         assert getattr(sgvf_drake, name) is not None, name
     assert set(sgvf_drake.__all__) <= set(dir(sgvf_drake))
-
-
-def test_other_names_do_not_resolve():
     with pytest.raises(AttributeError, match=r"'sgvf_drake' has no attribute 'trian'"):
         _ = sgvf_drake.trian
 
 
-def test_importing_is_light(tmp_path):
-    modules = modules_after("import sgvf_drake", tmp_path)
+def test_importing_is_light_and_torch_comes_with_the_first_use_of_train(tmp_path):
+    light, first_use = "import sgvf_drake", "import sgvf_drake\nsgvf_drake.TrainingConfig"
+    modules = modules_after(light, tmp_path)
     assert "sgvf_drake.fields" in modules
     assert not modules & {"torch", "pydrake", "matplotlib", "systems"}
     assert not any(name.startswith("sgvf_drake.experiments") for name in modules)
-
-
-def test_torch_comes_with_the_first_use_of_train(tmp_path):
-    code = "import sgvf_drake\nassert 'torch' not in sys.modules\nsgvf_drake.TrainingConfig"
-    modules = modules_after(code, tmp_path)
+    modules = modules_after(first_use, tmp_path)
     assert "torch" in modules
     assert "pydrake" not in modules
 

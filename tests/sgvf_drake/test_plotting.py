@@ -3,6 +3,7 @@
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import same_color
 from matplotlib.lines import Line2D
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
@@ -24,13 +25,6 @@ class Rotation:
 @pytest.fixture
 def axes():
     return plotting.new_figure(1, 1, 4, 3)[1][0]
-
-
-@pytest.fixture
-def flight_log():
-    columns = {"time": TIMES, "vx": np.cos(TIMES), "vy": np.sin(TIMES)}
-    forces = {f"force_{n}": 1.0 + 0.1 * n + 0.0 * TIMES for n in (1, 2, 3, 4)}
-    return pd.DataFrame({**columns, **forces})
 
 
 def trajectories(agents):
@@ -61,32 +55,18 @@ def check_rendered(axes):
     assert np.any(inside[..., :3] < 200, axis=2).mean() > 0.001
 
 
-def test_figures_have_axes_row_by_row():
-    figure, axes = plotting.new_figure(2, 3, 9, 4)
-    assert len(axes) == 6
-    assert figure.get_size_inches().tolist() == [9.0, 4.0]
-    rows = [ax.get_subplotspec().rowspan.start for ax in axes]
-    assert rows == [0, 0, 0, 1, 1, 1]
-
-
-def test_figures_stay_out_of_pyplot():
-    import matplotlib.pyplot as plt
-
+def test_figures_have_axes_row_by_row_and_stay_out_of_pyplot(axes):
     before = plt.get_fignums()
-    plotting.new_figure(1, 1, 2, 2)
+    figure, many = plotting.new_figure(2, 3, 9, 4)
     assert plt.get_fignums() == before
-
-
-def test_plane_axes(axes):
-    plotting.plane_axes(axes, "m", "a title")
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("x [m]", "y [m]")
-    assert axes.get_title() == "a title"
-    assert axes.get_aspect() == 1.0
-
-
-def test_plane_axes_without_a_unit(axes):
+    assert figure.get_size_inches().tolist() == [9.0, 4.0]
+    rows = [ax.get_subplotspec().rowspan.start for ax in many]
+    assert rows == [0, 0, 0, 1, 1, 1]
     plotting.plane_axes(axes)
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("x", "y")
+    plotting.plane_axes(axes, "m", "a title")
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("x [m]", "y [m]")
+    assert (axes.get_title(), axes.get_aspect()) == ("a title", 1.0)
 
 
 def test_field(axes):
@@ -110,81 +90,72 @@ def test_waypoints(axes):
     check_rendered(axes)
 
 
-def test_trajectories_without_a_verdict_are_all_agents(axes):
+def rows_of(artists, color):
+    """Which agents are drawn in a colour: the heights of their lines."""
+    return {line.get_ydata()[0] for line in lines_of(artists, color)}
+
+
+def test_failing_agents_have_another_colour_and_are_all_drawn(axes):
     artists = plotting.plot_trajectories(axes, trajectories(3))
-    lines = lines_of(artists, plotting.BLUE)
-    assert {line.get_ydata()[0] for line in lines if len(line.get_ydata()) > 1} == {0, 1, 2}
-    assert lines_of(artists, plotting.RED) == []
+    assert rows_of(artists, plotting.BLUE) == {0, 1, 2}
+    assert rows_of(artists, plotting.RED) == set()
     check_rendered(axes)
-
-
-def test_failing_agents_have_another_colour(axes):
-    followed = [True, False, True, True]
-    artists = plotting.plot_trajectories(axes, trajectories(4), followed)
-    for color, rows in ((plotting.BLUE, {0, 2, 3}), (plotting.RED, {1})):
-        assert {line.get_ydata()[0] for line in lines_of(artists, color)} == rows
-    labels = axes.get_legend_handles_labels()[1]
-    assert [label for label in labels if label in ("agent", "failed")] == ["agent", "failed"]
-
-
-def test_of_many_agents_a_selection_is_drawn_but_every_failure(axes):
+    artists = plotting.plot_trajectories(axes, trajectories(4), [True, False, True, True])
+    assert rows_of(artists, plotting.BLUE) == {0, 2, 3}
+    assert rows_of(artists, plotting.RED) == {1}
+    assert {"agent", "failed"} <= set(axes.get_legend_handles_labels()[1])
+    # Of many agents a selection is drawn, but every failure.
     followed = np.arange(500) % 5 != 0
     artists = plotting.plot_trajectories(axes, trajectories(500), followed)
-    good = {line.get_ydata()[0] for line in lines_of(artists, plotting.BLUE)}
-    failed = {line.get_ydata()[0] for line in lines_of(artists, plotting.RED)}
+    good = rows_of(artists, plotting.BLUE)
     assert len(good) == plotting.MAX_TRAJECTORIES
-    assert failed == set(range(0, 500, 5))
-    assert min(good) < 10
-    assert max(good) > 490
+    assert min(good) < 10 < 490 < max(good)
+    assert rows_of(artists, plotting.RED) == set(range(0, 500, 5))
 
 
-def test_cross_track_of_one_agent(axes):
+def test_cross_track_of_one_agent_and_of_many(axes):
     error = 0.1 * np.exp(-TIMES)
     artists = plotting.plot_cross_track(axes, TIMES, error[:, None], "m")
     assert any(np.allclose(line.get_ydata(), error, atol=2e-5) for line in artists)
     assert "[m]" in axes.get_ylabel()
     assert axes.get_xlabel() == "time [s]"
     check_rendered(axes)
-
-
-def test_cross_track_of_many_agents(axes):
+    # A perfect run is drawn too.
+    axes = plotting.new_figure(1, 1, 4, 3)[1][0]
+    plotting.plot_cross_track(axes, TIMES, np.zeros((len(TIMES), 3)), "m")
+    check_rendered(axes)
+    axes = plotting.new_figure(1, 1, 4, 3)[1][0]
     errors = np.exp(-TIMES / 2)[:, None] * np.linspace(1.0, 2.0, 21)
     artists = plotting.plot_cross_track(axes, TIMES, errors, "mm", "s at unit speed")
     assert len(artists) == 3
     labels = axes.get_legend_handles_labels()[1]
     assert set(labels) == {"5 % to 95 % of agents", "median", "largest"}
-    (median,) = lines_of(artists, plotting.BLUE)
-    np.testing.assert_allclose(median.get_ydata(), 1.5 * np.exp(-TIMES / 2), rtol=1e-9)
-    (largest,) = lines_of(artists, plotting.RED)
-    np.testing.assert_allclose(largest.get_ydata(), 2.0 * np.exp(-TIMES / 2), rtol=1e-9)
+    for color, size in ((plotting.BLUE, 1.5), (plotting.RED, 2.0)):
+        (drawn,) = lines_of(artists, color)
+        np.testing.assert_allclose(drawn.get_ydata(), size * np.exp(-TIMES / 2), rtol=1e-9)
     assert "[mm]" in axes.get_ylabel()
     assert "[s at unit speed]" in axes.get_xlabel()
 
 
-def test_cross_track_of_a_perfect_run_is_drawn(axes):
-    plotting.plot_cross_track(axes, TIMES, np.zeros((len(TIMES), 3)), "m")
-    check_rendered(axes)
-
-
-def test_velocity(axes, flight_log):
-    x, y, speed = plotting.plot_velocity(axes, flight_log)
-    np.testing.assert_array_equal(x.get_ydata(), flight_log["vx"])
-    np.testing.assert_array_equal(y.get_ydata(), flight_log["vy"])
-    np.testing.assert_allclose(speed.get_ydata(), 1.0)
-    assert axes.get_xlabel() == "time [s]"
-    assert axes.get_ylabel() == "velocity [m/s]"
-    check_rendered(axes)
-
-
-def test_propeller_forces(axes, flight_log):
-    *forces, limit = plotting.plot_propeller_forces(axes, flight_log, 4.6)
+def test_velocity_and_propeller_forces():
+    log = pd.DataFrame({"time": TIMES, "vx": np.cos(TIMES), "vy": np.sin(TIMES)})
+    for number in (1, 2, 3, 4):
+        log[f"force_{number}"] = 1.0 + 0.1 * number
+    one, other = plotting.new_figure(1, 2, 8, 3)[1]
+    x, y, speed = plotting.plot_velocity(one, log)
+    for line, expected in ((x, log["vx"]), (y, log["vy"]), (speed, np.ones(len(log)))):
+        np.testing.assert_allclose(line.get_ydata(), expected, rtol=1e-12)
+    *forces, limit = plotting.plot_propeller_forces(other, log, 4.6)
     assert [line.get_ydata()[0] for line in forces] == pytest.approx([1.1, 1.2, 1.3, 1.4])
     assert len({line.get_color() for line in forces}) == 4
     assert list(limit.get_ydata()) == [4.6, 4.6]
-    assert axes.get_ylabel() == "propeller force [N]"
-    assert axes.get_ylim()[0] == 0.0
-    assert axes.get_ylim()[1] > 4.6
-    check_rendered(axes)
+    assert other.get_ylim()[0] == 0.0
+    assert other.get_ylim()[1] > 4.6
+    units = [axes.get_ylabel() for axes in (one, other)]
+    assert units == ["velocity [m/s]", "propeller force [N]"]
+    for axes in (one, other):
+        assert axes.get_xlabel() == "time [s]"
+        check_rendered(axes)
 
 
 def test_losses(axes):

@@ -1,14 +1,15 @@
 """Fields of the classical kinds, to compare with: computed, not learned."""
 
 from sgvf_drake.fields.classical.algebraic import AlgebraicCurve
-from sgvf_drake.fields.classical.base import DEFAULT_GAIN, ClassicalField
-from sgvf_drake.fields.classical.curve import Curve
-from sgvf_drake.fields.classical.fourier import FourierCurve
-from sgvf_drake.fields.classical.implicit import ImplicitField
-from sgvf_drake.fields.classical.lagrange import LagrangeCurve
-from sgvf_drake.fields.classical.parametric import ParametricField
-from sgvf_drake.fields.classical.pursuit import PursuitField
-from sgvf_drake.fields.classical.tracking import CurveField
+from sgvf_drake.fields.classical.curves import Curve, FourierCurve, LagrangeCurve
+from sgvf_drake.fields.classical.fields import (
+    DEFAULT_GAIN,
+    ClassicalField,
+    CurveField,
+    ImplicitField,
+    ParametricField,
+    PursuitField,
+)
 
 __all__ = [
     "DEFAULT_GAIN",

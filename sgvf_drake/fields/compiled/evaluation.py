@@ -1,25 +1,31 @@
-"""The one function that is compiled and cached: a guiding field's value and Jacobian."""
+"""The one function that is compiled and cached: a guiding field's value and Jacobian.
 
+Score and tangent are put together with their derivatives, which go forward: each of them is
+that of a sum or a product in the formula before it.
+"""
+
+import math
 from typing import Any
 
 import numpy as np
 
 from sgvf_drake import compiling
+from sgvf_drake.arrays import FloatArray
 from sgvf_drake.compiling import digest, kernel, part
-from sgvf_drake.fields import activation as constants_of_activation
-from sgvf_drake.fields import composition as constants_of_composition
-from sgvf_drake.fields.base import FloatArray
-from sgvf_drake.fields.compiled import (
-    activation,
-    composition,
-    mixture,
-    perceptron,
-    rest,
+from sgvf_drake.fields import activation, composition
+from sgvf_drake.fields.compiled import networks, packing
+from sgvf_drake.fields.compiled.networks import network_jet, score_jet
+from sgvf_drake.fields.compiled.packing import (
+    GAIN,
+    KIND,
+    PAPER,
+    PROJECTION_FACTOR,
+    PROJECTS,
+    ROBUST,
+    SOFTENING,
+    TANGENT_SHARE,
 )
-from sgvf_drake.fields.compiled.composition import composed_jet
-from sgvf_drake.fields.compiled.mixture import score_jet
-from sgvf_drake.fields.compiled.perceptron import network_jet
-from sgvf_drake.fields.compiled.rest import blended_jet
+from sgvf_drake.fields.composition import PROJECTION_POWER
 
 
 def _make_evaluate(sources: int) -> Any:
@@ -66,16 +72,162 @@ def _flattened(m: FloatArray, unit_length: float) -> FloatArray:
     return flat
 
 
-SOURCES = (
-    activation,
-    compiling,
-    composition,
-    constants_of_activation,
-    constants_of_composition,
-    mixture,
-    perceptron,
-    rest,
-)
+@part
+def composed_jet(settings: FloatArray, S: FloatArray, N: FloatArray) -> FloatArray:
+    """Returns the jet of m, of those of the raw score and of the tangent network.
+
+    Args:
+        settings: Those of the composition, as floats.
+        S: (1 + d, d).
+        N: (1 + d, d).
+    """
+    if settings[KIND] == ROBUST:
+        return _robust_jet(settings, S, _direction_jet(N, settings[SOFTENING]))
+    m = _paper_jet(settings[GAIN], S, N)
+    return m if settings[KIND] == PAPER else _direction_jet(m, settings[SOFTENING])
+
+
+@part
+def _paper_jet(gain: float, S: FloatArray, N: FloatArray) -> FloatArray:
+    """M = tanh(k_s |S|) S / |S| + N."""
+    d = S.shape[1]
+    a, _, da, _ = _squash(gain, _dot(S, 0, S, 0))
+    m = np.empty((1 + d, d))
+    for j in range(1 + d):
+        growth = _dot(S, 0, S, j) * da if j > 0 else 0.0
+        for i in range(d):
+            m[j, i] = a * S[j, i] + growth * S[0, i] + N[j, i]
+    return m
+
+
+@part
+def _direction_jet(n: FloatArray, softening: float) -> FloatArray:
+    """M = n / sqrt(|n|^2 + delta^2)."""
+    d = n.shape[1]
+    norm = math.sqrt(_dot(n, 0, n, 0) + softening * softening)
+    m = np.empty((1 + d, d))
+    for j in range(1 + d):
+        along = _dot(m, 0, n, j) if j > 0 else 0.0
+        for i in range(d):
+            m[j, i] = n[j, i] / norm
+            if j > 0:
+                m[j, i] -= along * m[0, i] / norm
+    return m
+
+
+@part
+def _robust_jet(settings: FloatArray, S: FloatArray, v: FloatArray) -> FloatArray:
+    """M = tanh(k_s |S'|) S'/|S'| + sech(k_s |S'|) v, S' = S - g (S . v) v."""
+    d = S.shape[1]
+    normal = _normal_jet(settings, S, v)
+    a, b, da, db = _squash(settings[GAIN], _dot(normal, 0, normal, 0))
+    b, db = settings[TANGENT_SHARE] * b, settings[TANGENT_SHARE] * db
+    m = np.empty((1 + d, d))
+    for j in range(1 + d):
+        growth = _dot(normal, 0, normal, j) if j > 0 else 0.0
+        for i in range(d):
+            slope = growth * (da * normal[0, i] + db * v[0, i])
+            m[j, i] = a * normal[j, i] + b * v[j, i] + slope
+    return m
+
+
+@part
+def _normal_jet(settings: FloatArray, S: FloatArray, v: FloatArray) -> FloatArray:
+    """S' = S - g (S . v) v, with g = 1 / (1 + (factor |S|^2)^4) or zero."""
+    d = S.shape[1]
+    half = PROJECTION_POWER // 2
+    factor, along = settings[PROJECTION_FACTOR], _dot(S, 0, v, 0)
+    ratio = factor * _dot(S, 0, S, 0)
+    g = settings[PROJECTS] / (1.0 + ratio**half)
+    g_slope = -half * factor * ratio ** (half - 1) * g * g
+    removed = g * along
+    normal = np.empty((1 + d, d))
+    for i in range(d):
+        normal[0, i] = S[0, i] - removed * v[0, i]
+    for j in range(1, 1 + d):
+        change = 2.0 * g_slope * _dot(S, 0, S, j) * along
+        change += g * (_dot(S, j, v, 0) + _dot(S, 0, v, j))
+        for i in range(d):
+            normal[j, i] = S[j, i] - change * v[0, i] - removed * v[j, i]
+    return normal
+
+
+@part
+def _squash(gain: float, square: float) -> tuple[float, float, float, float]:
+    """tanh(k r)/r and sech(k r) as functions of r^2, and (d/dr)/r of both."""
+    if square < 1e-24:
+        square = 1e-24
+    r = math.sqrt(square)
+    a, b = math.tanh(gain * r) / r, _sech(gain * r)
+    z = gain * gain * square
+    if z < 1e-4:
+        # Where k r is small the difference cancels; its series starts at -2/3 k^3.
+        da = gain**3 * (-2.0 / 3.0 + z * (8.0 / 15.0 - z * 34.0 / 105.0))
+    else:
+        da = (gain * b * b - a) / square
+    return a, b, da, -gain * a * b
+
+
+@part
+def _sech(z: float) -> float:
+    # By the decaying exponential, which cannot overflow far from the path.
+    decay = math.exp(-z)
+    return 2.0 * decay / (1.0 + decay * decay)
+
+
+@part
+def _dot(a: FloatArray, i: int, b: FloatArray, j: int) -> float:
+    """Returns the product of row i of a and row j of b."""
+    total = 0.0
+    for k in range(a.shape[1]):
+        total += a[i, k] * b[j, k]
+    return total
+
+
+@part
+def blended_jet(
+    m: FloatArray, resting: FloatArray, ends: FloatArray, width: float, z: FloatArray
+) -> FloatArray:
+    """Returns the jet of m + w (resting - m), with w near 1 at the ends and 0 far away.
+
+    Args:
+        m: The jet of the field away from the ends, (1 + d, d).
+        resting: The same at the ends.
+        ends: (E, d).
+        width: Standard deviation of the region of rest.
+        z: The point, (d,).
+    """
+    d = len(z)
+    away = _away_jet(ends, width, z)
+    blended = np.empty((1 + d, d))
+    for j in range(1 + d):
+        for i in range(d):
+            blended[j, i] = m[j, i] + (1.0 - away[0]) * (resting[j, i] - m[j, i])
+            if j > 0:
+                blended[j, i] -= away[j] * (resting[0, i] - m[0, i])
+    return blended
+
+
+@part
+def _away_jet(ends: FloatArray, width: float, z: FloatArray) -> FloatArray:
+    """The jet of 1 - w = prod (1 - bump), (1 + d,), with a Gaussian bump around each end."""
+    d = len(z)
+    variance = width * width
+    jet = np.zeros(1 + d)
+    jet[0] = 1.0
+    for e in range(len(ends)):
+        square = 0.0
+        for j in range(d):
+            square += (z[j] - ends[e, j]) ** 2
+        bump = math.exp(-0.5 * square / variance)
+        for j in range(d):
+            slope = -bump * (z[j] - ends[e, j]) / variance
+            jet[1 + j] = jet[1 + j] * (1.0 - bump) - jet[0] * slope
+        jet[0] *= 1.0 - bump
+    return jet
+
+
+SOURCES = (activation, compiling, composition, networks, packing)
 """Every other module whose functions or constants are compiled into `evaluate`."""
 
 evaluate = _make_evaluate(digest(*SOURCES))

@@ -1,4 +1,4 @@
-"""A guiding field as the plain arrays that `evaluation.evaluate` takes."""
+"""A guiding field as the plain arrays that `evaluation.evaluate` takes; no numba here."""
 
 from dataclasses import replace
 from typing import Any
@@ -7,8 +7,8 @@ import numpy as np
 
 from sgvf_drake.arrays import FloatArray, IntArray
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.fields.compiled.activation import activation_code
-from sgvf_drake.fields.compiled.composition import NORMALISED, PAPER, ROBUST
+from sgvf_drake.fields.activation import ACTIVATIONS
+from sgvf_drake.fields.composed import ComposedField
 from sgvf_drake.fields.composition import (
     DIRECTION_SOFTENING,
     PROJECTION_RANGE,
@@ -18,10 +18,18 @@ from sgvf_drake.fields.composition import (
     PaperComposition,
     RobustComposition,
 )
-from sgvf_drake.fields.guiding import GuidingField, ScoreNetwork
 from sgvf_drake.fields.mixture import GaussianMixture
-from sgvf_drake.fields.perceptron import Perceptron
+from sgvf_drake.fields.perceptron import Perceptron, ScoreNetwork
 from sgvf_drake.fields.rest import Rest
+
+PAPER, NORMALISED, ROBUST = range(3)
+"""The kinds of composition."""
+
+# Where the settings of a composition hold what; see `pack_composition`.
+KIND, GAIN, SOFTENING, PROJECTS, PROJECTION_FACTOR, TANGENT_SHARE = range(6)
+
+# Where the sizes of a network hold what; see `pack_network`.
+ACTIVATION, NUM_FREQUENCIES, FIRST_WIDTH = range(3)
 
 PackedNetwork = tuple[IntArray, FloatArray]
 """Sizes and numbers."""
@@ -33,7 +41,7 @@ CACHE_LINE = 64
 """Bytes, on nearly all processors of today."""
 
 
-def pack_learned(field: GuidingField) -> tuple[Any, ...]:
+def pack_learned(field: ComposedField) -> tuple[Any, ...]:
     """Returns the arguments that hold what was learned: all that is large."""
     return (
         np.array(field.cloud.center),
@@ -43,7 +51,7 @@ def pack_learned(field: GuidingField) -> tuple[Any, ...]:
     )
 
 
-def pack_composed(field: GuidingField) -> tuple[FloatArray, FloatArray, float]:
+def pack_composed(field: ComposedField) -> tuple[FloatArray, FloatArray, float]:
     """Returns the arguments that say how it is put together.
 
     They are the settings of the compositions away from the ends of open paths and at them,
@@ -90,7 +98,7 @@ def pack_network(network: Perceptron) -> PackedNetwork:
     arrays = [] if features is None else [features.frequencies, features.phases]
     for weight, bias in zip(network.weights, network.biases, strict=True):
         arrays += [weight.T, bias]
-    sizes = [activation_code(network.activation), num_frequencies, *widths]
+    sizes = [ACTIVATIONS.index(network.activation), num_frequencies, *widths]
     return np.array(sizes, dtype=np.int64), _aligned(arrays)
 
 

@@ -1,3 +1,7 @@
+"""What is learned from: the waypoints themselves, or the smooth line that they show."""
+
+from itertools import product
+
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
@@ -60,69 +64,48 @@ def test_a_clean_shape_is_learned_as_it_is(name):
     cloud, path = make_shape(name)
     support = support_of(cloud)
     np.testing.assert_array_equal(support.points, cloud.normalize(cloud.points))
-    assert not support.resampled
-    assert support.dropped == 0
+    assert (support.resampled, support.dropped) == (False, 0)
     assert are_closed(support, path)
     # 0.65 spacings, where that is more than the default; chords are shorter than arcs.
     spacing = path.lengths.sum() / cloud.unit_length / 200
     assert support.sigma == pytest.approx(max(0.1, 0.65 * spacing), rel=2e-3)
+    if name == "concentric-circles":
+        assert support.sigma == pytest.approx(0.1225, abs=1e-4)
 
 
-def test_the_noise_level_of_the_headline_cloud(concentric):
-    assert support_of(concentric[0]).sigma == pytest.approx(0.1225, abs=1e-4)
+def check_smoothed(name, seeds, farthest, **options):
+    """Noisy waypoints of a closed shape become a smooth line near it, evenly spaced."""
+    for seed in seeds:
+        cloud, path = make_shape(name, noise=0.05, seed=seed, **options)
+        support = support_of(cloud)
+        check_partition(support)
+        assert support.resampled
+        assert are_closed(support, path), seed
+        to_path, to_support = distances(cloud, path, support)
+        assert rms(to_path) < 0.1
+        assert to_support.max() < farthest
+        for line in lines(support):
+            # Half a noise level; chords across a tip of the line are shorter than the arc, but
+            # there are few of them.
+            assert steps(line).max() == pytest.approx(0.5 * support.sigma, rel=0.02)
+            assert np.median(steps(line)) == pytest.approx(0.5 * support.sigma, rel=0.02)
+            assert np.quantile(steps(line), 0.05) > 0.3 * support.sigma
 
 
-@pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("name", SHAPES)
-def test_forty_noisy_waypoints_of_a_closed_shape(name, seed):
-    cloud, path = make_shape(name, num_points=40, noise=0.05, seed=seed)
-    support = support_of(cloud)
-    check_partition(support)
-    assert support.resampled
-    assert are_closed(support, path)
-    to_path, to_support = distances(cloud, path, support)
-    assert rms(to_path) < 0.1
-    assert to_support.max() < 0.35
+def test_noisy_waypoints_of_a_closed_shape(name):
+    """Forty, and two hundred at random, of which a tip of a star may lose its last."""
+    check_smoothed(name, range(3), 0.35, num_points=40)
+    check_smoothed(name, range(3), 0.45 if name == "star" else 0.35, sampling="random")
 
 
-@pytest.mark.parametrize("name", [name for name in SHAPES if len(shape_path(name).pieces) == 2])
+@pytest.mark.parametrize("name", SHAPES)
 def test_forty_noisy_waypoints_tell_two_circles_from_one_loop(name):
     """The gap is 2 to 3 spacings wide, so the tree alone joins up to one cloud in ten."""
-    clouds = [make_shape(name, 40, noise=0.05, seed=seed) for seed in range(40)]
+    seeds = range(20 if len(shape_path(name).pieces) == 2 else 8)
+    clouds = [make_shape(name, 40, noise=0.05, seed=seed) for seed in seeds]
     wrong = [seed for seed, (c, p) in enumerate(clouds) if not are_closed(support_of(c), p)]
     assert wrong == []
-
-
-@pytest.mark.parametrize("name", [name for name in SHAPES if len(shape_path(name).pieces) == 1])
-def test_forty_noisy_waypoints_of_one_loop_are_not_parted(name):
-    clouds = [make_shape(name, 40, noise=0.05, seed=seed) for seed in range(5, 20)]
-    wrong = [seed for seed, (c, p) in enumerate(clouds, 5) if not are_closed(support_of(c), p)]
-    assert wrong == []
-
-
-@pytest.mark.parametrize("seed", range(5))
-@pytest.mark.parametrize("name", SHAPES)
-def test_two_hundred_random_noisy_waypoints_of_a_closed_shape(name, seed):
-    cloud, path = make_shape(name, noise=0.05, seed=seed, sampling="random")
-    support = support_of(cloud)
-    check_partition(support)
-    assert support.resampled
-    assert are_closed(support, path)
-    to_path, to_support = distances(cloud, path, support)
-    assert rms(to_path) < 0.1
-    # A tip of a star may lose its last waypoints: up to .42 on these seeds.
-    assert to_support.max() < (0.45 if name == "star" else 0.35)
-
-
-@pytest.mark.parametrize("name", SHAPES)
-def test_a_smoothed_support_is_evenly_spaced_at_half_a_noise_level(name):
-    cloud, _ = make_shape(name, noise=0.05, seed=1, sampling="random")
-    support = support_of(cloud)
-    for line in lines(support):
-        # Chords across a tip of the line are shorter than the arc.
-        assert steps(line).max() == pytest.approx(0.5 * support.sigma, rel=0.02)
-        assert np.median(steps(line)) == pytest.approx(0.5 * support.sigma, rel=0.02)
-        assert steps(line).min() > 0.3 * support.sigma
 
 
 def uneven(name, n=200, ratio=10):
@@ -154,35 +137,29 @@ def test_uneven_density_becomes_even_and_opens_nothing(name):
     assert to_support.max() < 0.35
 
 
-@pytest.mark.parametrize("name", ["circle", "square", "star", "triangle"])
-def test_random_gaps_do_not_open_a_loop(name):
-    for seed in range(20):
+def test_random_gaps_do_not_open_a_loop():
+    for name, seed in product(("circle", "square", "star", "triangle"), range(10)):
         cloud, path = make_shape(name, sampling="random", seed=seed)
-        assert are_closed(support_of(cloud), path), seed
+        assert are_closed(support_of(cloud), path), (name, seed)
 
 
-@pytest.mark.parametrize("copies", [2, 5])
-@pytest.mark.parametrize("name", ["concentric-circles", "star"])
-def test_copies_of_waypoints_change_nothing_but_the_points(name, copies):
-    cloud, _ = make_shape(name)
-    points = cloud.normalize(cloud.points)
-    once, often = find_support(points), find_support(np.repeat(points, copies, axis=0))
-    assert often.sigma == pytest.approx(once.sigma)
-    assert (often.resampled, often.dropped) == (False, 0)
-    assert [p.closed for p in often.pieces] == [p.closed for p in once.pieces]
-    np.testing.assert_array_equal(
-        np.unique(often.points, axis=0), np.unique(once.points, axis=0)
-    )
-
-
-@pytest.mark.parametrize("noise", [0.0, 0.05])
-@pytest.mark.parametrize("name", ["circle", "star"])
-def test_copies_of_sparse_waypoints_give_the_same_spline(name, noise):
-    cloud, _ = make_shape(name, num_points=40, noise=noise)
-    points = cloud.normalize(cloud.points)
-    once, often = find_support(points), find_support(np.repeat(points, 3, axis=0))
-    assert once.resampled
-    np.testing.assert_allclose(often.points, once.points, atol=1e-9)
+def test_copies_of_waypoints_change_nothing_but_the_points():
+    for name, copies in product(("concentric-circles", "star"), (2, 5)):
+        cloud, _ = make_shape(name)
+        points = cloud.normalize(cloud.points)
+        once, often = find_support(points), find_support(np.repeat(points, copies, axis=0))
+        assert often.sigma == pytest.approx(once.sigma)
+        assert (often.resampled, often.dropped) == (False, 0)
+        assert [p.closed for p in often.pieces] == [p.closed for p in once.pieces]
+        distinct = (np.unique(support.points, axis=0) for support in (once, often))
+        np.testing.assert_array_equal(*distinct)
+    # Of sparse ones, they give the same spline.
+    for name, noise in product(("circle", "star"), (0.0, 0.05)):
+        cloud, _ = make_shape(name, num_points=40, noise=noise)
+        points = cloud.normalize(cloud.points)
+        once, often = find_support(points), find_support(np.repeat(points, 3, axis=0))
+        assert once.resampled
+        np.testing.assert_allclose(often.points, once.points, atol=1e-9)
 
 
 def with_outliers(name, seed):
@@ -194,7 +171,7 @@ def with_outliers(name, seed):
     return PointCloud(np.concatenate([cloud.points, outliers])), path, outliers
 
 
-@pytest.mark.parametrize("name", ["circle", "square", "triangle", "star", "concentric-circles"])
+@pytest.mark.parametrize("name", ["square", "star", "concentric-circles"])
 def test_five_percent_of_outliers(name):
     """In ten clouds each: the path is covered, and what stays lies near it.
 
@@ -218,6 +195,7 @@ def test_five_percent_of_outliers(name):
     assert dropped >= 70
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("name", "seed"), [("star", 0), ("concentric-circles", 1)])
 def test_a_hundred_thousand_waypoints_are_thinned(name, seed):
     cloud, path = make_shape(name, 100_000, noise=0.02, sampling="random", seed=seed)
@@ -239,24 +217,22 @@ def arc_cloud(noise=0.0, seed=0, n=80, turn=1.3 * np.pi):
     return PointCloud(rng.permutation(points)), points
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.05])
-@pytest.mark.parametrize("seed", range(5))
-def test_an_open_arc_stays_open(noise, seed):
-    cloud, points = arc_cloud(noise, seed)
-    support = support_of(cloud)
-    check_partition(support)
-    assert [piece.closed for piece in support.pieces] == [False]
-    (line,) = lines(support)
-    line = cloud.denormalize(line)
-    # The gap of .7 pi is not crossed, and nothing of the arc is lost.
-    angle = np.unwrap(np.arctan2(line[:, 1], line[:, 0]))
-    assert np.ptp(angle) == pytest.approx(1.3 * np.pi, abs=0.05 + noise)
-    assert np.abs(np.linalg.norm(line, axis=1) - 3).max() < 1e-4 + 3 * noise
-    # It starts at the end of smaller x.
-    spread = 3 * noise + 5e-3
-    np.testing.assert_allclose(line[0], points[-1], atol=2 * spread)
-    np.testing.assert_allclose(line[-1], points[0], atol=2 * spread)
-    assert steps(line).max() < 1.05 * steps(line).min()
+def test_an_open_arc_stays_open():
+    for noise, seed in product((0.0, 0.05), range(3)):
+        cloud, points = arc_cloud(noise, seed)
+        support = support_of(cloud)
+        check_partition(support)
+        assert [piece.closed for piece in support.pieces] == [False]
+        (line,) = lines(support)
+        line = cloud.denormalize(line)
+        # The gap of .7 pi is not crossed, and nothing of the arc is lost.
+        angle = np.unwrap(np.arctan2(line[:, 1], line[:, 0]))
+        assert np.ptp(angle) == pytest.approx(1.3 * np.pi, abs=0.05 + noise)
+        assert np.abs(np.linalg.norm(line, axis=1) - 3).max() < 1e-4 + 3 * noise
+        # It starts at the end of smaller x.
+        spread = 3 * noise + 5e-3
+        np.testing.assert_allclose(line[[0, -1]], points[[-1, 0]], atol=2 * spread)
+        assert steps(line).max() < 1.05 * steps(line).min()
 
 
 def test_a_loop_or_an_arc_is_what_the_user_says():
@@ -273,62 +249,59 @@ def test_a_loop_or_an_arc_is_what_the_user_says():
     assert steps(line).max() < 0.1
 
 
-@pytest.mark.parametrize("cloud", [make_shape("star")[0], make_shape("star", 40, 0.05)[0]])
-def test_a_noise_level_that_is_given_is_kept(cloud):
-    support = support_of(cloud, sigma=0.3)
-    assert support.sigma == 0.3
-    if support.resampled:
-        (line,) = lines(support)
-        assert np.median(steps(line)) == pytest.approx(0.15, rel=0.02)
+def test_a_noise_level_that_is_given_is_kept():
+    for cloud in (make_shape("star")[0], make_shape("star", 40, 0.05)[0]):
+        support = support_of(cloud, sigma=0.3)
+        assert support.sigma == 0.3
+        if support.resampled:
+            (line,) = lines(support)
+            assert np.median(steps(line)) == pytest.approx(0.15, rel=0.02)
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.03])
-def test_a_branched_cloud_is_kept_as_it_is(noise):
+def test_a_branched_cloud_is_kept_as_it_is():
     """No one line runs through a Y."""
-    radius = np.linspace(0, 4, 60)
-    arms = [
-        np.outer(radius, [np.cos(a), np.sin(a)])
-        for a in np.pi * np.array([1 / 2, 7 / 6, 11 / 6])
-    ]
-    points = np.concatenate(arms)
-    points = points + noise * np.random.default_rng(0).standard_normal(points.shape)
-    cloud = PointCloud(points)
-    support = support_of(cloud)
-    assert (support.resampled, support.dropped) == (False, 0)
-    np.testing.assert_array_equal(support.points, cloud.normalize(points))
+    for noise in (0.0, 0.03):
+        radius = np.linspace(0, 4, 60)
+        arms = [
+            np.outer(radius, [np.cos(a), np.sin(a)])
+            for a in np.pi * np.array([1 / 2, 7 / 6, 11 / 6])
+        ]
+        points = np.concatenate(arms)
+        points = points + noise * np.random.default_rng(0).standard_normal(points.shape)
+        cloud = PointCloud(points)
+        support = support_of(cloud)
+        assert (support.resampled, support.dropped) == (False, 0)
+        np.testing.assert_array_equal(support.points, cloud.normalize(points))
 
 
-@pytest.mark.parametrize("n", [40, 200])
-def test_a_noisy_curve_in_space(n):
+def test_a_noisy_curve_in_space():
     def curve(angle):
         return np.column_stack([3 * np.cos(angle), 3 * np.sin(angle), np.sin(2 * angle)])
 
-    rng = np.random.default_rng(0)
-    points = curve(np.linspace(0, 2 * np.pi, n, endpoint=False))
-    cloud = PointCloud(rng.permutation(points + 0.05 * rng.standard_normal(points.shape)))
-    support = support_of(cloud)
-    check_partition(support)
-    assert support.resampled
-    assert [piece.closed for piece in support.pieces] == [True]
-    true = cloud.normalize(curve(np.linspace(0, 2 * np.pi, 4000)))
-    assert rms(cKDTree(true).query(support.points)[0]) < 0.1
-    assert cKDTree(support.points).query(true)[0].max() < 0.35
+    for n in (40, 200):
+        rng = np.random.default_rng(0)
+        points = curve(np.linspace(0, 2 * np.pi, n, endpoint=False))
+        cloud = PointCloud(rng.permutation(points + 0.05 * rng.standard_normal(points.shape)))
+        support = support_of(cloud)
+        check_partition(support)
+        assert support.resampled
+        assert [piece.closed for piece in support.pieces] == [True]
+        true = cloud.normalize(curve(np.linspace(0, 2 * np.pi, 4000)))
+        assert rms(cKDTree(true).query(support.points)[0]) < 0.1
+        assert cKDTree(support.points).query(true)[0].max() < 0.35
 
 
-@pytest.mark.parametrize("count", [2, 3, 4, 5, 6, 20, 100])
-def test_waypoints_on_a_line_become_the_line(count):
-    x = np.linspace(0, 1, count)
-    cloud = PointCloud(np.column_stack([x, x / 2]))
-    support = support_of(cloud)
-    check_partition(support)
-    assert [piece.closed for piece in support.pieces] == [False]
-    (line,) = lines(support)
-    np.testing.assert_allclose(line[[0, -1]], [[-4, -2], [4, 2]], atol=1e-12)
-    np.testing.assert_allclose(line[:, 1], line[:, 0] / 2, atol=1e-12)
-    np.testing.assert_allclose(steps(line), np.sqrt(80) / (len(line) - 1), rtol=1e-6)
-
-
-def test_three_waypoints_are_joined_by_a_bent_line():
+def test_waypoints_on_a_line_become_the_line():
+    for count in (2, 3, 4, 5, 6, 20, 100):
+        x = np.linspace(0, 1, count)
+        support = support_of(PointCloud(np.column_stack([x, x / 2])))
+        check_partition(support)
+        assert [piece.closed for piece in support.pieces] == [False]
+        (line,) = lines(support)
+        np.testing.assert_allclose(line[[0, -1]], [[-4, -2], [4, 2]], atol=1e-12)
+        np.testing.assert_allclose(line[:, 1], line[:, 0] / 2, atol=1e-12)
+        np.testing.assert_allclose(steps(line), np.sqrt(80) / (len(line) - 1), rtol=1e-6)
+    # Three waypoints are joined by a bent line.
     cloud = PointCloud([[0.0, 0.0], [10.0, 1.0], [3.0, 5.0]])
     support = support_of(cloud)
     check_partition(support)
@@ -338,7 +311,7 @@ def test_three_waypoints_are_joined_by_a_bent_line():
     assert [piece.closed for piece in support.pieces] == [False]
 
 
-@settings(max_examples=150, deadline=None, derandomize=True)
+@settings(max_examples=60, deadline=None, derandomize=True)
 @given(
     seed=st.integers(0, 2**32 - 1),
     n=st.integers(2, 12),
@@ -355,16 +328,16 @@ def test_tiny_clouds_have_a_support(seed, n, dim, grid, closed):
     check_partition(support_of(PointCloud(points), closed=closed))
 
 
-@pytest.mark.parametrize(("seed", "n", "dim"), [(39, 12, 3), (252, 11, 3), (513, 12, 2)])
-def test_waypoints_that_coincide_beside_the_line_are_put_back_once(seed, n, dim):
-    rng = np.random.default_rng(seed)
-    assert (rng.integers(2, 13), rng.integers(2, 4)) == (n, dim)
-    points = np.round(rng.standard_normal((n, dim)))
-    assert len(np.unique(points, axis=0)) < n
-    check_partition(support_of(PointCloud(points)))
+def test_waypoints_that_coincide_beside_the_line_are_put_back_once():
+    for seed, n, dim in ((39, 12, 3), (252, 11, 3), (513, 12, 2)):
+        rng = np.random.default_rng(seed)
+        assert (rng.integers(2, 13), rng.integers(2, 4)) == (n, dim)
+        points = np.round(rng.standard_normal((n, dim)))
+        assert len(np.unique(points, axis=0)) < n
+        check_partition(support_of(PointCloud(points)))
 
 
-@settings(max_examples=30, deadline=None, derandomize=True)
+@settings(max_examples=15, deadline=None, derandomize=True)
 @given(
     seed=st.integers(0, 2**32 - 1),
     name=st.sampled_from(["circle", "star", "square"]),
@@ -404,17 +377,20 @@ def star_in_order():
 
 
 def test_untangling_never_lengthens_and_mostly_finds_the_perimeter():
-    """2-opt from nowhere may stop at a local optimum: 5 of these 50 random orders do."""
+    """2-opt from nowhere may stop at a local optimum: some of these random orders do."""
     star = star_in_order()
     found = 0
-    for seed in range(50):
+    for seed in range(25):
         loop = np.random.default_rng(seed).permutation(star)
         tour = untangled(loop)
         np.testing.assert_array_equal(np.unique(tour, axis=0), np.unique(star, axis=0))
         assert perimeter(tour) <= perimeter(loop)
         assert perimeter(tour) < 1.3 * perimeter(star)
         found += perimeter(tour) < (1 + 1e-9) * perimeter(star)
-    assert found >= 45
+    assert found >= 20
+    np.testing.assert_array_equal(untangled(star), star)
+    for count in (1, 2, 3):
+        np.testing.assert_array_equal(untangled(star[:count]), star[:count])
 
 
 def test_untangling_undoes_a_zigzag_and_keeps_the_direction():
@@ -427,10 +403,3 @@ def test_untangling_undoes_a_zigzag_and_keeps_the_direction():
         tour = untangled(zigzag)
         assert perimeter(tour) == pytest.approx(perimeter(loop))
         assert area(tour) == pytest.approx(area(loop))
-
-
-def test_untangling_a_short_tour_changes_nothing():
-    star = star_in_order()
-    np.testing.assert_array_equal(untangled(star), star)
-    for count in (1, 2, 3):
-        np.testing.assert_array_equal(untangled(star[:count]), star[:count])

@@ -117,7 +117,7 @@ def undirected(ring_field):
     from sgvf_drake.learning.networks import Network
     from sgvf_drake.learning.optimization import Optimization, optimize
     from sgvf_drake.learning.score_matching import mixture_score
-    from sgvf_drake.learning.tangent_losses import orthogonality_loss, unit_length_loss
+    from sgvf_drake.learning.tangent import orthogonality_loss, unit_length_loss
 
     field, path = ring_field()
     points = torch.as_tensor(field.score_model.points, dtype=torch.float32)

@@ -1,3 +1,5 @@
+"""What is measured against: polylines and trees, their lengths and nearest points."""
+
 import numpy as np
 import pytest
 
@@ -22,21 +24,16 @@ def brute_force(x, start, end):
     return np.linalg.norm(x[:, None] - nearest, axis=2).min(axis=1)
 
 
-def test_lengths_and_samples_of_a_polyline():
+def test_lengths_samples_and_projection_of_a_polyline():
     open_piece, closed_piece = Piece(L_SHAPE, closed=False), Piece(L_SHAPE, closed=True)
     assert (open_piece.length, closed_piece.length) == (7, 12)
-    np.testing.assert_array_equal(open_piece.arc, [0, 4, 7])
-    np.testing.assert_array_equal(closed_piece.arc, [0, 4, 7])
-    np.testing.assert_allclose(
-        open_piece.sample(8)[[0, 1, 4, 7]], [[0, 0], [1, 0], [4, 0], [4, 3]]
-    )
+    for piece in (open_piece, closed_piece):
+        np.testing.assert_array_equal(piece.arc, [0, 4, 7])
+    samples = open_piece.sample(8)[[0, 1, 4, 7]]
+    np.testing.assert_allclose(samples, [[0, 0], [1, 0], [4, 0], [4, 3]])
     np.testing.assert_allclose(closed_piece.sample(12)[[0, 4, 7, 11]], [*L_SHAPE, [0.8, 0.6]])
-
-
-def test_projection_on_a_polyline():
-    path = ReferencePath(
-        (Piece(L_SHAPE, closed=False), Piece(L_SHAPE + np.array([10, 0]), closed=True))
-    )
+    moved = Piece(L_SHAPE + np.array([10, 0]), closed=True)
+    path = ReferencePath((open_piece, moved))
     x = np.array([[1.0, -2.0], [-3.0, 4.0], [5.0, 4.0], [13.0, 1.0], [11.7, 2.4]])
     projection = path.project(x)
     np.testing.assert_allclose(projection.distance, [2, 5, np.sqrt(2), 1, 0.9], atol=1e-12)
@@ -44,15 +41,21 @@ def test_projection_on_a_polyline():
     np.testing.assert_allclose(projection.arc[:3], [1, 0, 7])
 
 
-@pytest.mark.parametrize("name", ["star", "square", "separated-circles"])
-def test_projection_agrees_with_brute_force(name):
-    path = shape_path(name)
-    x = np.random.default_rng(0).uniform(-6, 6, (500, 2))
-    knots = [np.vstack([piece.vertices, piece.vertices[:1]]) for piece in path.pieces]
-    start = np.concatenate([points[:-1] for points in knots])
-    end = np.concatenate([points[1:] for points in knots])
-    expected = np.concatenate([brute_force(part, start, end) for part in np.split(x, 10)])
-    np.testing.assert_allclose(path.project(x).distance, expected, atol=1e-6)
+def test_projection_agrees_with_brute_force():
+    for name in ("star", "square", "separated-circles"):
+        path = shape_path(name)
+        x = np.random.default_rng(0).uniform(-6, 6, (200, 2))
+        knots = [np.vstack([piece.vertices, piece.vertices[:1]]) for piece in path.pieces]
+        start = np.concatenate([points[:-1] for points in knots])
+        end = np.concatenate([points[1:] for points in knots])
+        expected = np.concatenate([brute_force(part, start, end) for part in np.split(x, 10)])
+        np.testing.assert_allclose(path.project(x).distance, expected, atol=1e-6)
+    # At an acute tip all nearest samples are on one side, the nearest point is on the other.
+    tip = Piece(np.array([[10.0, 1e-3], [0.0, 0.0], [10.0, -1e-3]]), closed=False)
+    x = np.random.default_rng(2).uniform([0, -2e-3], [10, 2e-3], (1000, 2))
+    expected = brute_force(x, tip.vertices[:-1], tip.vertices[1:])
+    found = ReferencePath((tip,)).project(x).distance
+    np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
 def test_projection_on_a_circle_is_that_of_the_circle():
@@ -69,16 +72,7 @@ def test_projection_on_a_circle_is_that_of_the_circle():
     assert np.abs(error[radius > 1]).max() < 6e-3
 
 
-def test_projection_at_an_acute_tip_finds_the_other_side():
-    """All nearest samples are on one side of the tip, the nearest point is on the other."""
-    tip = Piece(np.array([[10.0, 1e-3], [0.0, 0.0], [10.0, -1e-3]]), closed=False)
-    path = ReferencePath((tip,))
-    x = np.random.default_rng(2).uniform([0, -2e-3], [10, 2e-3], (1000, 2))
-    start, end = tip.vertices[:-1], tip.vertices[1:]
-    np.testing.assert_allclose(path.project(x).distance, brute_force(x, start, end), atol=1e-9)
-
-
-def test_projection_is_exact_beside_a_denser_piece():
+def test_projection_is_exact_beside_a_denser_piece_and_in_chunks():
     """Few samples on the nearest segment, a thousand on a piece that lies beyond it."""
     sparse = np.array([[0.0, 0.0], [16.0, 0.0]])
     dense = np.column_stack([np.linspace(5, 6, 20_001), np.full(20_001, 4e-4)])
@@ -87,51 +81,39 @@ def test_projection_is_exact_beside_a_denser_piece():
     projection = path.project(x)
     np.testing.assert_allclose(projection.distance, 1e-4, rtol=1e-9)
     np.testing.assert_array_equal(projection.piece, 0)
-
-
-def test_many_points_are_projected_in_chunks():
     path = shape_path("square")
-    x = np.random.default_rng(3).uniform(-5, 5, (150_000, 2))
-    whole = path.project(x)
-    some = path.project(x[100_000:100_100])
-    np.testing.assert_array_equal(whole.arc[100_000:100_100], some.arc)
+    x = np.random.default_rng(3).uniform(-5, 5, (100_000, 2))
+    whole, some = path.project(x), path.project(x[70_000:70_100])
+    np.testing.assert_array_equal(whole.arc[70_000:70_100], some.arc)
 
 
-@pytest.mark.parametrize(
-    ("rows", "closed", "expected"),
-    [
+def test_reading_an_ordered_polyline(tmp_path):
+    for rows, closed, expected in (
         ("0,0\n4,0\n4,3\n", None, (False, 3, 7)),
         ("0,0\n4,0\n4,3\n", True, (True, 3, 12)),
         ("0,0\n4,0\n4,3\n0,0\n", None, (True, 3, 12)),
         ("0,0\n4,0\n4,3\n1e-10,0\n", None, (True, 3, 12)),
         ("0,0\n4,0\n4,3\n1e-3,0\n", None, (False, 4, 12)),
         ("0,0\n4,0\n4,3\n0,0\n", False, (False, 4, 12)),
-    ],
-)
-def test_reading_an_ordered_polyline(tmp_path, rows, closed, expected):
-    (tmp_path / "path.csv").write_text("x,y\n" + rows)
-    path = ReferencePath.read(tmp_path / "path.csv", closed=closed)
-    (piece,) = path.pieces
-    assert (piece.closed, len(piece.vertices)) == expected[:2]
-    assert path.longest == pytest.approx(expected[2], rel=1e-3)
+    ):
+        (tmp_path / "path.csv").write_text("x,y\n" + rows)
+        path = ReferencePath.read(tmp_path / "path.csv", closed=closed)
+        (piece,) = path.pieces
+        assert (piece.closed, len(piece.vertices)) == expected[:2]
+        assert path.longest == pytest.approx(expected[2], rel=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("make", "match"),
-    [
+def test_bad_references_are_refused():
+    both = Piece(np.eye(2), False), Piece(np.eye(3), False)
+    for make, match in (
         (lambda: Piece(np.zeros((1, 2)), closed=False), r"at least 2 finite vertices"),
         (lambda: Piece(np.full((3, 2), np.nan), closed=False), "finite vertices"),
         (lambda: Piece(np.ones((3, 2)), closed=True), "coincide"),
         (lambda: ReferencePath(()), "pieces of one dimension"),
-        (
-            lambda: ReferencePath((Piece(np.eye(2), False), Piece(np.eye(3), False))),
-            r"dimensions \[2, 3\]",
-        ),
-    ],
-)
-def test_bad_references_are_refused(make, match):
-    with pytest.raises(PointCloudError, match=match):
-        make()
+        (lambda: ReferencePath(both), r"dimensions \[2, 3\]"),
+    ):
+        with pytest.raises(PointCloudError, match=match):
+            make()
 
 
 def test_the_tree_of_a_cloud_as_a_reference():
@@ -145,23 +127,24 @@ def test_the_tree_of_a_cloud_as_a_reference():
     spacing = path.longest / 100
     difference = tree.project(x).distance - path.project(x).distance
     assert np.abs(difference).max() < spacing**2 / (8 * 1.5) * 1.01  # the sagitta
-
-
-def test_arc_length_grows_along_a_tree_and_its_closing_edge():
+    # Arc length grows along a tree and its closing edge.
     cloud, path = make_shape("circle", num_points=50)
     tree = tree_reference(cloud)
-    on_polygon = 2.99 * path.pieces[0].sample(500) / 3
-    arc = tree.project(on_polygon).arc
+    arc = tree.project(2.99 * path.pieces[0].sample(500) / 3).arc
     steps = np.diff(arc, append=arc[:1])
     steps -= tree.longest * np.round(steps / tree.longest)
     assert (steps > 0).all()
     assert steps.sum() == pytest.approx(tree.longest)
+    # Opened where a field has an end near its own ends, and nowhere else.
+    ends = tree.first_and_last(0)
+    assert not tree.opened_at(ends[:1], cloud.unit_length).closed[0]
+    assert tree.opened_at(-ends[:1], cloud.unit_length).closed[0]
+    assert tree.opened_at(np.empty((0, 2)), cloud.unit_length).closed[0]
 
 
 def test_side_branches_and_isolated_waypoints_belong_to_the_tree():
     trunk = np.column_stack([np.arange(21.0), np.zeros(21)])
-    cloud = PointCloud([*trunk, [10, 1], [10, 2], [10, 60]])
-    tree = tree_reference(cloud)
+    tree = tree_reference(PointCloud([*trunk, [10, 1], [10, 2], [10, 60]]))
     projection = tree.project(np.array([[10.5, 1.5], [10, 57], [30, 0]]))
     np.testing.assert_allclose(projection.distance, [0.5, 3, 10])
     np.testing.assert_array_equal(projection.piece, [0, 1, 0])

@@ -1,3 +1,5 @@
+"""The named shapes: their true paths, and the clouds that are sampled from them."""
+
 import numpy as np
 import pytest
 
@@ -57,8 +59,7 @@ def test_waypoints_lie_on_the_path_and_cover_it(name, sampling):
 def test_the_tree_finds_the_pieces(name):
     cloud, path = make_shape(name)
     pieces = trace_pieces(cloud.points)
-    assert len(pieces) == len(path.pieces)
-    assert all(piece.closed for piece in pieces)
+    assert [piece.closed for piece in pieces] == [True] * len(path.pieces)
     lengths = [piece.length for piece in pieces]
     np.testing.assert_allclose(sorted(lengths), np.sort(path.lengths), rtol=0.04)
 
@@ -68,23 +69,25 @@ def test_the_tips_point_up():
     np.testing.assert_allclose(shape_path("triangle").pieces[0].vertices[0], [0, 3], atol=1e-12)
 
 
-def test_the_seed_decides():
+def test_the_seed_decides_and_the_order_is_shuffled():
     first, again, other = (make_shape("star", noise=0.1, seed=s)[0] for s in (1, 1, 2))
     np.testing.assert_array_equal(first.points, again.points)
     assert not np.array_equal(first.points, other.points)
     clean = make_shape("star", seed=1)[0].points
     np.testing.assert_allclose((first.points - clean).std(), 0.1, rtol=0.1)
-
-
-def test_the_order_is_shuffled():
     cloud, path = make_shape("circle")
     steps = np.abs(np.diff(path.project(cloud.points).arc))
     assert np.median(steps) > 1
+    # Every piece has its share.
+    for num_points in (6, 7, 11, 200):
+        cloud, path = make_shape("concentric-circles", num_points=num_points)
+        counts = np.bincount(path.project(cloud.points).piece)
+        assert counts.sum() == num_points
+        assert counts.min() >= 3
 
 
-@pytest.mark.parametrize(
-    ("arguments", "match"),
-    [
+def test_bad_input_is_refused():
+    for arguments, match in (
         ({"name": "cirlce"}, "no shape 'cirlce'; did you mean 'circle'"),
         ({"name": "qqq"}, r"no shape 'qqq' \(the shapes are concentric-circles"),
         ({"name": "circle", "num_points": 2}, "at least 3, not 2"),
@@ -92,51 +95,32 @@ def test_the_order_is_shuffled():
         ({"name": "circle", "noise": -0.1}, "not negative, not -0.1"),
         ({"name": "circle", "noise": np.nan}, "noise must be finite"),
         ({"name": "circle", "sampling": "even"}, "uniform, random, not 'even'"),
-    ],
-)
-def test_bad_input_is_refused(arguments, match):
-    with pytest.raises(ConfigurationError, match=match):
-        make_shape(**arguments)
+    ):
+        with pytest.raises(ConfigurationError, match=match):
+            make_shape(**arguments)
+    for corners, radius, match in (
+        (2, 1.0, "at least 3 corners, not 2"),
+        (4, 0.0, "not 0.0"),
+        (4, np.inf, "not inf"),
+    ):
+        with pytest.raises(ConfigurationError, match=match):
+            regular_polygon(corners, radius)
 
 
-@pytest.mark.parametrize("num_points", [6, 7, 11, 200])
-def test_every_piece_has_its_share(num_points):
-    cloud, path = make_shape("concentric-circles", num_points=num_points)
-    counts = np.bincount(path.project(cloud.points).piece)
-    assert counts.sum() == num_points
-    assert counts.min() >= 3
-
-
-@pytest.mark.parametrize("corners", [3, 4, 5, 6, 8, 12])
-def test_a_regular_polygon_has_its_angles_and_rests_on_a_side(corners):
-    (piece,) = regular_polygon(corners, 3.0).pieces
-    vertices = piece.vertices
-    assert (len(vertices), piece.closed) == (corners, True)
-    assert signed_area(vertices) > 0
-    np.testing.assert_allclose(np.linalg.norm(vertices, axis=1), 3.0)
-    before, after = (np.roll(vertices, shift, axis=0) - vertices for shift in (1, -1))
-    lengths = np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1)
-    angles = np.degrees(np.arccos((before * after).sum(axis=1) / lengths))
-    np.testing.assert_allclose(angles, 180 - 360 / corners)
-    # Its first side is the lowest part of it.
-    np.testing.assert_allclose(vertices[:2, 1], vertices[:, 1].min())
-
-
-@pytest.mark.parametrize(
-    ("name", "corners", "radius"),
-    [("square", 4, 3 * np.sqrt(2)), ("hexagon", 6, 3.0)],
-)
-def test_square_and_hexagon_are_regular_polygons(name, corners, radius):
-    own = regular_polygon(corners, radius).pieces[0].vertices
-    named = shape_path(name).pieces[0].vertices
-    gaps = np.linalg.norm(own[:, None] - named, axis=2)
-    assert gaps.min(axis=0).max() < 1e-9
-
-
-@pytest.mark.parametrize(
-    ("corners", "radius", "match"),
-    [(2, 1.0, "at least 3 corners, not 2"), (4, 0.0, "not 0.0"), (4, np.inf, "not inf")],
-)
-def test_no_polygon_without_corners_or_size(corners, radius, match):
-    with pytest.raises(ConfigurationError, match=match):
-        regular_polygon(corners, radius)
+def test_a_regular_polygon_has_its_angles_and_rests_on_a_side():
+    for corners in (3, 4, 5, 6, 8, 12):
+        (piece,) = regular_polygon(corners, 3.0).pieces
+        vertices = piece.vertices
+        assert (len(vertices), piece.closed) == (corners, True)
+        assert signed_area(vertices) > 0
+        np.testing.assert_allclose(np.linalg.norm(vertices, axis=1), 3.0)
+        before, after = (np.roll(vertices, shift, axis=0) - vertices for shift in (1, -1))
+        lengths = np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1)
+        angles = np.degrees(np.arccos((before * after).sum(axis=1) / lengths))
+        np.testing.assert_allclose(angles, 180 - 360 / corners)
+        # Its first side is the lowest part of it.
+        np.testing.assert_allclose(vertices[:2, 1], vertices[:, 1].min())
+    for name, corners, radius in (("square", 4, 3 * np.sqrt(2)), ("hexagon", 6, 3.0)):
+        own = regular_polygon(corners, radius).pieces[0].vertices
+        gaps = np.linalg.norm(own[:, None] - shape_path(name).pieces[0].vertices, axis=2)
+        assert gaps.min(axis=0).max() < 1e-9

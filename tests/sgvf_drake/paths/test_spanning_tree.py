@@ -1,3 +1,7 @@
+"""Pieces of a cloud from its spanning tree: one loop or arc each, in order."""
+
+from itertools import product
+
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 import numpy as np
@@ -56,39 +60,33 @@ def test_separated_circles_are_two_pieces_longest_first(sampling):
         assert signed_area(points[shuffle][piece.order]) > 0
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.05])
-@pytest.mark.parametrize("seed", range(20))
-def test_a_randomly_sampled_circle_stays_one_loop(seed, noise):
-    rng = np.random.default_rng(seed)
-    points = circle(rng.uniform(0, 2 * np.pi, 200))
-    points += noise * rng.standard_normal(points.shape)
-    (piece,) = trace_pieces(points)
-    assert piece.closed
-    assert signed_area(points[piece.order]) > 0
-    assert len(piece.edges) == 199
-
-
-@pytest.mark.parametrize("seed", range(10))
-@pytest.mark.parametrize("name", ["concentric-circles", "separated-circles"])
-def test_loops_that_noise_brings_together_are_told_apart(name, seed):
-    """The circles are 1 or 2 apart, which is less than the cut length in these clouds."""
-    cloud, path = make_shape(name, noise=0.05, seed=seed, sampling="random")
-    pieces = trace_pieces(cloud.points)
-    of_waypoint = path.project(cloud.points).piece
-    members = [set(of_waypoint[piece.indices].tolist()) for piece in pieces]
-    assert sorted(map(sorted, members)) == [[0], [1]]
-    for piece in pieces:
+def test_a_randomly_sampled_loop_stays_one():
+    for noise, seed in product((0.0, 0.05), range(10)):
+        rng = np.random.default_rng(seed)
+        points = circle(rng.uniform(0, 2 * np.pi, 200))
+        points += noise * rng.standard_normal(points.shape)
+        (piece,) = trace_pieces(points)
         assert piece.closed
-        assert signed_area(cloud.points[piece.order]) > 0
-        assert len(piece.edges) == len(piece.indices) - 1
+        assert signed_area(points[piece.order]) > 0
+        assert len(piece.edges) == 199
+        star, _ = make_shape("star", noise=noise, seed=seed, sampling="random")
+        (piece,) = trace_pieces(star.points)
+        assert piece.closed
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.05])
-@pytest.mark.parametrize("seed", range(10))
-def test_a_randomly_sampled_star_stays_one_loop(seed, noise):
-    cloud, _ = make_shape("star", noise=noise, seed=seed, sampling="random")
-    (piece,) = trace_pieces(cloud.points)
-    assert piece.closed
+@pytest.mark.parametrize("name", ["concentric-circles", "separated-circles"])
+def test_loops_that_noise_brings_together_are_told_apart(name):
+    """The circles are 1 or 2 apart, which is less than the cut length in these clouds."""
+    for seed in range(6):
+        cloud, path = make_shape(name, noise=0.05, seed=seed, sampling="random")
+        pieces = trace_pieces(cloud.points)
+        of_waypoint = path.project(cloud.points).piece
+        members = [set(of_waypoint[piece.indices].tolist()) for piece in pieces]
+        assert sorted(map(sorted, members)) == [[0], [1]]
+        for piece in pieces:
+            assert piece.closed
+            assert signed_area(cloud.points[piece.order]) > 0
+            assert len(piece.edges) == len(piece.indices) - 1
 
 
 def test_the_tree_of_a_dense_noisy_loop_breaks_beside_its_ends():
@@ -99,17 +97,15 @@ def test_the_tree_of_a_dense_noisy_loop_breaks_beside_its_ends():
     assert len(piece.indices) > 2900
 
 
-@pytest.mark.parametrize(
-    ("degrees", "n"), [(90, 5), (90, 200), (180, 5), (180, 40), (270, 40), (340, 200)]
-)
-def test_an_open_arc_is_open_and_starts_at_the_smaller_end(degrees, n):
-    half = np.radians(degrees) / 2
-    points = circle(np.linspace(-half, half, n))[np.random.default_rng(2).permutation(n)]
-    (piece,) = trace_pieces(points)
-    assert not piece.closed
-    ends = points[piece.order[[0, -1]]]
-    assert tuple(ends[0]) < tuple(ends[1])
-    assert piece.length == pytest.approx(2 * 3 * np.sin(half / (n - 1)) * (n - 1))
+def test_an_open_arc_is_open_and_starts_at_the_smaller_end():
+    for degrees, n in ((90, 5), (90, 200), (180, 5), (180, 40), (270, 40), (340, 200)):
+        half = np.radians(degrees) / 2
+        points = circle(np.linspace(-half, half, n))[np.random.default_rng(2).permutation(n)]
+        (piece,) = trace_pieces(points)
+        assert not piece.closed
+        first, last = points[piece.order[[0, -1]]]
+        assert tuple(first) < tuple(last)
+        assert piece.length == pytest.approx(2 * 3 * np.sin(half / (n - 1)) * (n - 1))
 
 
 def test_a_loop_in_space_runs_by_its_largest_projected_area():
@@ -144,17 +140,17 @@ def test_coincident_waypoints_share_their_arc():
     assert set(piece.order.tolist()) == set(range(50))
 
 
-def test_few_waypoints_are_pieces_too():
-    (piece,) = trace_pieces(np.array([[1.0, 2.0]]))
-    assert (piece.length, piece.closed, len(piece.edges)) == (0.0, False, 0)
-    (piece,) = trace_pieces(np.array([[1.0, 2.0], [1.0, 2.0]]))
-    np.testing.assert_array_equal(piece.arc, [0, 0])
-    (piece,) = trace_pieces(np.array([[4.0, 6.0], [1.0, 2.0]]))
-    np.testing.assert_array_equal(piece.order, [1, 0])
-    assert piece.length == pytest.approx(5)
-
-
-def test_an_isolated_waypoint_is_a_piece_of_its_own():
+def test_few_and_isolated_waypoints_are_pieces_too():
+    for points, length, order in (
+        ([[1.0, 2.0]], 0, [0]),
+        ([[1.0, 2.0], [1.0, 2.0]], 0, None),
+        ([[4.0, 6.0], [1.0, 2.0]], 5, [1, 0]),
+    ):
+        (piece,) = trace_pieces(np.array(points))
+        assert piece.length == pytest.approx(length)
+        assert not piece.closed
+        assert len(piece.edges) == len(points) - 1
+        assert order is None or piece.order.tolist() == order
     pieces = trace_pieces(np.concatenate([even_circle(100), [[20.0, 0.0]]]))
     assert [len(piece.indices) for piece in pieces] == [100, 1]
     assert pieces[1].indices.tolist() == [100]
@@ -182,7 +178,7 @@ def test_agrees_with_the_tree_of_the_full_distance_matrix():
     assert set().union(*(edge_set(piece) for piece in trace_pieces(points))) == expected
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=15, deadline=None, derandomize=True)
 @example(seed=0, angle=0.5, log_scale=-12.0, offset=0.0)
 @given(
     seed=st.integers(0, 2**32 - 1),
@@ -205,14 +201,6 @@ def test_rigid_motion_and_scaling_keep_the_tree(seed, angle, log_scale, offset):
             np.testing.assert_array_equal(new.order, old.order)
 
 
-def test_the_order_of_the_waypoints_does_not_matter():
-    rng = np.random.default_rng(5)
-    points = even_circle(64)
-    shuffle = rng.permutation(64)
-    (plain,), (shuffled,) = trace_pieces(points), trace_pieces(points[shuffle])
-    np.testing.assert_array_equal(shuffle[shuffled.order], plain.order)
-
-
 def test_a_large_cloud_is_one_loop():
     rng = np.random.default_rng(6)
     points = circle(rng.uniform(0, 2 * np.pi, 20_000))
@@ -221,9 +209,7 @@ def test_a_large_cloud_is_one_loop():
     assert piece.length == pytest.approx(6 * np.pi, rel=1e-5)
 
 
-@pytest.mark.parametrize(
-    "points", [np.zeros((0, 2)), np.zeros(4), np.array([[0.0, np.nan], [1.0, 1.0]])]
-)
-def test_what_is_not_a_cloud_is_refused(points):
-    with pytest.raises(PointCloudError, match="finite waypoints"):
-        trace_pieces(points)
+def test_what_is_not_a_cloud_is_refused():
+    for points in (np.zeros((0, 2)), np.zeros(4), np.array([[0.0, np.nan], [1.0, 1.0]])):
+        with pytest.raises(PointCloudError, match="finite waypoints"):
+            trace_pieces(points)

@@ -1,19 +1,23 @@
-"""A multi-layer perceptron with its derivatives at one point."""
+"""What was learned, at one point: the jets of a perceptron and of the score of a mixture.
+
+A jet is an array (1 + d, k) whose row 0 holds k values, and whose row 1 + j their derivatives
+by input j.
+"""
 
 import math
 
 import numpy as np
 
+from sgvf_drake.arrays import FloatArray
 from sgvf_drake.compiling import accumulating_part, part
-from sgvf_drake.fields.base import FloatArray
-from sgvf_drake.fields.compiled.activation import value_and_slope
+from sgvf_drake.fields.activation import ACTIVATIONS, NORMAL_RANGE
+from sgvf_drake.fields.compiled.packing import ACTIVATION, FIRST_WIDTH, NUM_FREQUENCIES
 
+# The numbers by which `value_and_slope` knows the activations.
+_SILU, _TANH, _SIGMOID, _SOFTPLUS, _GELU, _ELU, _RELU = range(len(ACTIVATIONS))
 # Rows of W^T, those of eight inputs, that are added in one pass over the sums: these are then
 # seldom loaded and stored, and the processor does little but multiply and add.
 INPUTS_AT_ONCE = 8
-
-# Where the sizes of a network hold what; see `packing.pack_network`.
-ACTIVATION, NUM_FREQUENCIES, FIRST_WIDTH = range(3)
 
 
 @part
@@ -118,3 +122,97 @@ def _activate(code: int, width: int, jet: FloatArray, slopes: FloatArray) -> Non
         row = jet[k]
         for o in range(width):
             row[o] *= slopes[o]
+
+
+@part
+def value_and_slope(code: int, z: float) -> tuple[float, float]:
+    """Returns the activation and its derivative at z."""
+    if code == _SILU:
+        gate = _sigmoid(z)
+        value = z * gate
+        return value, gate + value * (1.0 - gate)
+    if code == _TANH:
+        value = math.tanh(z)
+        return value, 1.0 - value * value
+    if code == _SIGMOID:
+        value = _sigmoid(z)
+        return value, value * (1.0 - value)
+    if code == _SOFTPLUS:
+        return _relu(z) + math.log1p(math.exp(-abs(z))), _sigmoid(z)
+    if code == _GELU:
+        return _gelu_and_slope(z)
+    if code == _ELU:
+        value = z if z > 0.0 else math.expm1(z)
+        return value, 1.0 if z > 0.0 else value + 1.0
+    return _relu(z), 1.0 if z > 0.0 else 0.0
+
+
+@part
+def _sigmoid(z: float) -> float:
+    # Far below zero the exponential is infinite, and its inverse zero, as it should be.
+    return 1.0 / (1.0 + math.exp(-z))
+
+
+@part
+def _relu(z: float) -> float:
+    # In this order a NaN stays one.
+    return 0.0 if z <= 0.0 else z
+
+
+@part
+def _gelu_and_slope(z: float) -> tuple[float, float]:
+    near = min(max(z, -NORMAL_RANGE), NORMAL_RANGE)
+    share = 0.5 + 0.5 * math.erf(near / math.sqrt(2.0))
+    density = math.exp(-0.5 * near * near) / math.sqrt(2.0 * math.pi)
+    return z * share, share + near * density
+
+
+@part
+def score_jet(points: FloatArray, variance: float, z: FloatArray) -> FloatArray:
+    """Returns the jet of the score at z, (1 + d, d).
+
+    dS/dz = cov / sigma^4 - I / sigma^2, with the covariance of the waypoints as z weighs them.
+
+    Args:
+        points: The centres, flattened to (N d,).
+        variance: sigma^2, in the square of their unit.
+        z: The point, (d,).
+    """
+    d = len(z)
+    weights, mean = _weights_and_mean(points, variance, z)
+    jet = np.zeros((1 + d, d))
+    for n in range(len(weights)):
+        for i in range(d):
+            share = weights[n] * (points[n * d + i] - mean[i])
+            for j in range(i + 1):
+                jet[1 + j, i] += share * (points[n * d + j] - mean[j])
+    for i in range(d):
+        jet[0, i] = (mean[i] - z[i]) / variance
+        for j in range(i + 1):
+            slope = (jet[1 + j, i] / variance - (1.0 if i == j else 0.0)) / variance
+            jet[1 + j, i] = jet[1 + i, j] = slope
+    return jet
+
+
+@part
+def _weights_and_mean(
+    points: FloatArray, variance: float, z: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Returns the shares that the waypoints have in the density at z, and their mean."""
+    d = len(z)
+    weights, mean = np.empty(len(points) // d), np.zeros(d)
+    top, total = -np.inf, 0.0
+    for n in range(len(weights)):
+        square = 0.0
+        for i in range(d):
+            square += (z[i] - points[n * d + i]) ** 2
+        weights[n] = -0.5 / variance * square
+        top = max(top, weights[n])
+    for n in range(len(weights)):
+        weights[n] = math.exp(weights[n] - top)
+        total += weights[n]
+    for n in range(len(weights)):
+        weights[n] /= total
+        for i in range(d):
+            mean[i] += weights[n] * points[n * d + i]
+    return weights, mean
