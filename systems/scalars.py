@@ -1,12 +1,21 @@
-"""What the systems share to work for float and AutoDiffXd alike."""
+"""What the systems share to work for float, for AutoDiffXd and in compiled code alike.
 
-from collections.abc import Sequence
+A law written with `Sqrt`, `Sin`, `Cos` and `Tanh` on plain scalars has one source for three
+uses: marked with `compilable` it runs as it is on AutoDiffXd, and numba compiles it where
+compiled code calls it.
+"""
+
+from collections.abc import Callable, Sequence
+import functools
+import inspect
 import math
 from typing import Any
 
+from numba.extending import overload, register_jitable
 import numpy as np
 import pydrake.autodiffutils
 from pydrake.autodiffutils import AutoDiffXd
+import pydrake.math
 
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
 from sgvf_drake.fields.base import Field
@@ -19,6 +28,58 @@ _ad: Any = pydrake.autodiffutils
 
 SCALARS = (float, AutoDiffXd)
 """The scalar types of every system here.  A learned field has no symbolic form."""
+
+compilable = register_jitable
+"""Marks a function of scalars and tuples that compiled code may call."""
+
+
+def Sqrt(x: Any) -> Any:
+    """Returns the square root."""
+    return math.sqrt(x) if isinstance(x, float) else pydrake.math.sqrt(x)
+
+
+def Sin(x: Any) -> Any:
+    """Returns the sine of an angle in rad."""
+    return math.sin(x) if isinstance(x, float) else pydrake.math.sin(x)
+
+
+def Cos(x: Any) -> Any:
+    """Returns the cosine of an angle in rad."""
+    return math.cos(x) if isinstance(x, float) else pydrake.math.cos(x)
+
+
+def Tanh(x: Any) -> Any:
+    """Returns the hyperbolic tangent."""
+    return math.tanh(x) if isinstance(x, float) else pydrake.math.tanh(x)
+
+
+# Numba compares the names of the arguments: no annotations here.
+overload(Sqrt)(lambda x: lambda x: math.sqrt(x))
+overload(Sin)(lambda x: lambda x: math.sin(x))
+overload(Cos)(lambda x: lambda x: math.cos(x))
+overload(Tanh)(lambda x: lambda x: math.tanh(x))
+
+
+def remembered(construct: Callable[..., None]) -> Callable[..., None]:
+    """Lets a system remember the arguments of its `_construct`, for `ConstructCopy`."""
+    signature = inspect.signature(construct)
+
+    @functools.wraps(construct)
+    def construct_and_remember(self: Any, *args: Any, **kwargs: Any) -> None:
+        construct(self, *args, **kwargs)
+        arguments = signature.bind(self, *args, **kwargs).arguments
+        self._arguments = {
+            name: value
+            for name, value in arguments.items()
+            if name not in ("self", "converter")
+        }
+
+    return construct_and_remember
+
+
+def ConstructCopy(self: Any, other: Any, converter: Any = None) -> None:
+    """Constructs a system as another one of its template was, for Drake's scalar conversion."""
+    type(self)._construct(self, **other._arguments, converter=converter)
 
 
 def ToFloat(value: Scalar) -> float:
@@ -71,12 +132,6 @@ def EvalField(field: Field, x: np.ndarray) -> np.ndarray:
     return _ad.InitializeAutoDiff(np.concatenate((m, J.ravel())), gradient)[:, 0]
 
 
-def CheckSpeed(speed: Scalar) -> None:
-    """Raises ConfigurationError unless the speed in m/s is finite and not negative."""
-    if not (math.isfinite(ToFloat(speed)) and speed >= 0.0):
-        raise ConfigurationError(f"speed must be finite and not negative, got {speed}")
-
-
 def CheckFiniteParameter(name: str, value: Scalar) -> None:
     """Raises ConfigurationError unless the parameter is finite."""
     if not math.isfinite(ToFloat(value)):
@@ -87,6 +142,12 @@ def CheckPositiveParameter(name: str, value: Scalar) -> None:
     """Raises ConfigurationError unless the parameter is finite and positive."""
     if not (math.isfinite(ToFloat(value)) and value > 0.0):
         raise ConfigurationError(f"{name} must be finite and positive, got {value}")
+
+
+def CheckNonNegativeParameter(name: str, value: Scalar) -> None:
+    """Raises ConfigurationError unless the parameter is finite and not negative."""
+    if not (math.isfinite(ToFloat(value)) and value >= 0.0):
+        raise ConfigurationError(f"{name} must be finite and not negative, got {value}")
 
 
 def CheckConstant(name: str, value: Scalar) -> float:
