@@ -13,7 +13,6 @@ from systems.diagrams import (
     SetNoiseSeed,
     SetVehicleState,
 )
-from systems.flight_trail import AddFlightTrail, FlightTrail
 from systems.guidance import FieldForSpeed, GuidanceSystem, GuidanceSystem_
 from systems.guidance_loop import AddGuidance, GuidanceParts
 from systems.kinematic import (
@@ -31,8 +30,13 @@ from systems.lyapunov_monitor import (
     StopOnExit,
     SublevelExit,
 )
+from systems.moving_scene import (
+    AddFlightTrail,
+    AddQuadrotorGeometry,
+    FlightTrail,
+    QuadrotorGeometry,
+)
 from systems.quadrotor import QuadrotorParameters
-from systems.quadrotor_geometry import AddQuadrotorGeometry, QuadrotorGeometry
 from systems.scene_drawing import DrawField, DrawTube, DrawWaypoints
 from systems.se3_law import Body, Gains
 from systems.sensing import (

@@ -114,8 +114,7 @@ def MakeFlightDiagram(
         if supervisor is not None:
             logged += [supervisor.GetOutputPort(name) for name in ("mode", "branch")]
         for port in logged:
-            log = LogVectorOutput(port, builder, log_period)
-            log.set_name(f"{port.get_name()}_log")
+            LogVectorOutput(port, builder, log_period).set_name(f"{port.get_name()}_log")
     if lyapunov is not None:
         AddLyapunovMonitor(
             builder,

@@ -150,8 +150,7 @@ def MakeKinematicDiagram(
     builder.Connect(guidance.GetOutputPort("velocities"), agents.get_input_port())
     builder.ExportOutput(agents.get_output_port(), "positions")
     if log_period is not None:
-        log = LogVectorOutput(agents.get_output_port(), builder, log_period)
-        log.set_name("positions_log")
+        LogVectorOutput(agents.get_output_port(), builder, log_period).set_name("positions_log")
     if lyapunov is not None:
         AddLyapunovMonitor(
             builder,

@@ -4,7 +4,6 @@ import math
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-import pydrake.autodiffutils
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import (
     BasicVector_,
@@ -24,13 +23,12 @@ from systems.scalars import (
     SCALARS,
     CheckFiniteAgents,
     ConstructCopy,
+    Join,
     Scalar,
+    Split,
     ToFloat,
     remembered,
 )
-
-# Drake's stubs misname the type of every array, so its functions are used untyped.
-_ad: Any = pydrake.autodiffutils
 
 
 class DifferentiableFunction(Protocol):
@@ -221,8 +219,8 @@ def AddLyapunovMonitor(
     builder.Connect(velocity_port, monitor.GetInputPort("velocity"))
     if log_period is not None:
         for name in ("V", "V_dot"):
-            log = LogVectorOutput(monitor.GetOutputPort(name), builder, log_period)
-            log.set_name(f"{name}_log")
+            port = monitor.GetOutputPort(name)
+            LogVectorOutput(port, builder, log_period).set_name(f"{name}_log")
     return monitor
 
 
@@ -329,37 +327,23 @@ def _CheckLevel(level: Scalar) -> None:
 
 
 def _EvalFunction(function: DifferentiableFunction, x: np.ndarray) -> np.ndarray:
-    """Returns V(x) of shape (n,) in the scalar type of x (n, d).
-
-    The function only ever sees floats: the gradient is pushed through by hand.
-    """
+    """Returns V(x) of shape (n,) in the scalar type of x (n, d)."""
     if x.dtype != object:
         return function(x)
-    values, dx = _Split(x)
-    dV = np.einsum("ni,nik->nk", function.gradient(values), dx)
-    return _ad.InitializeAutoDiff(function(values), dV).reshape(-1)
+    values, dx = Split(x)
+    return Join(function(values), np.einsum("ni,nik->nk", function.gradient(values), dx))
 
 
 def _EvalRate(function: DifferentiableFunction, x: np.ndarray, x_dot: np.ndarray) -> np.ndarray:
     """Returns grad V(x) . x_dot of shape (n,) in the scalar type of x and x_dot (n, d).
 
-    As in `_EvalFunction` the function only sees floats; with the Hessian H, the gradient is
-    (H x_dot) . dx + grad V . dx_dot.
+    With the Hessian H of V, its gradient is (H x_dot) . dx + grad V . dx_dot.
     """
     if x.dtype != object:
         return np.asarray((function.gradient(x) * x_dot).sum(axis=1))
     # Together, because one of them may be a constant, whose gradient has another size.
-    (x, x_dot), (dx, dx_dot) = _Split(np.stack((x, x_dot)))
+    (x, x_dot), (dx, dx_dot) = Split(np.stack((x, x_dot)))
     gradient, H = function.gradient_and_hessian(x)
     by_position = np.einsum("nij,nj,nik->nk", H, x_dot, dx)
     by_velocity = np.einsum("ni,nik->nk", gradient, dx_dot)
-    V_dot = (gradient * x_dot).sum(axis=1)
-    return _ad.InitializeAutoDiff(V_dot, by_position + by_velocity).reshape(-1)
-
-
-def _Split(x: np.ndarray) -> tuple[FloatArray, FloatArray]:
-    """Returns the values of an array of AutoDiffXd, and its gradient along a last axis."""
-    column = x.reshape(-1, 1)
-    gradient = _ad.ExtractGradient(column)
-    values = _ad.ExtractValue(column).reshape(x.shape)
-    return values, gradient.reshape(*x.shape, gradient.shape[1])
+    return Join((gradient * x_dot).sum(axis=1), by_position + by_velocity)

@@ -104,13 +104,11 @@ def CalcPropellerInput(
         saturate: Whether demands and forces are limited to what the vehicle can give.
     """
     thrust, torque = CalcThrustAndTorque(
-        Body(body[0], body[1], body[2], body[3]),
+        state,
+        velocity_command,
+        acceleration,
         Gains(gains[0], gains[1], gains[2], gains[3]),
-        _Vector3(state[ATTITUDE]),
-        _Vector3(state[VELOCITY]),
-        _Vector3(state[RATES]),
-        _Vector3(velocity_command),
-        _Vector3(acceleration),
+        Body(body[0], body[1], body[2], body[3]),
         gravity,
         NUM_PROPELLERS * rotors.max_force,
         saturate,
@@ -124,13 +122,11 @@ def CalcPropellerInput(
 
 @compilable
 def CalcThrustAndTorque(
-    body: Body,
+    state: Any,
+    velocity_command: Any,
+    acceleration: Any,
     gains: Gains,
-    rpy: Vector3,
-    v_W: Vector3,
-    rpy_rates: Vector3,
-    velocity_command: Vector3,
-    acceleration_feedforward: Vector3,
+    body: Body,
     gravity: float,
     max_thrust: float,
     saturate: bool,
@@ -141,21 +137,20 @@ def CalcThrustAndTorque(
     attitude at a fixed heading, and the torque tracks that attitude.
 
     Args:
-        body: The mass and inertia that are believed.
+        state: As in `CalcPropellerInput`.
+        velocity_command: v_cmd.
+        acceleration: a_ff.
         gains: The gains.
-        rpy: Roll, pitch and yaw in rad.
-        v_W: The velocity v_WB in W, m/s.
-        rpy_rates: The rates of roll, pitch and yaw in rad/s.
-        velocity_command: v_cmd in W, m/s.
-        acceleration_feedforward: a_ff in W, m/s^2.
+        body: The mass and inertia that are believed.
         gravity: In m/s^2.
         max_thrust: Of all propellers together, in N.
         saturate: Whether the thrust vector and the rates of the desired attitude are limited.
             Without, the law is smooth wherever the thrust vector is not zero.
     """
-    vx, vy, vz = v_W
-    ax, ay, az = acceleration_feedforward
-    ux, uy, uz = velocity_command
+    rpy, rpy_rates = _Vector3(state[ATTITUDE]), _Vector3(state[RATES])
+    vx, vy, vz = v_W = _Vector3(state[VELOCITY])
+    ax, ay, az = a_W = _Vector3(acceleration)
+    ux, uy, uz = _Vector3(velocity_command)
     m, k_v, g = body.mass, gains.velocity_gain, gravity
     F_W = (
         m * (ax + k_v * (ux - vx)),
@@ -164,7 +159,7 @@ def CalcThrustAndTorque(
     )
     if saturate:
         F_W = LimitThrust(m * g, max_thrust, F_W)
-    w_path = CalcTurnRate(v_W, acceleration_feedforward)
+    w_path = CalcTurnRate(v_W, a_W)
     # The demand turns with the path; the error k_v (v_cmd - v) is small or short.
     F_dot_W = Cross(w_path, (m * ax, m * ay, m * az))
     F_ddot_W = Cross(w_path, F_dot_W)
