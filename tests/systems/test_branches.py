@@ -2,6 +2,7 @@ import math
 
 import numpy as np
 import pytest
+from systems.transfer import Motion, PlanTransfer
 
 from sgvf_drake.exceptions import ConfigurationError
 from systems.branches import (
@@ -14,7 +15,6 @@ from systems.branches import (
     MakeBranches,
     SpeedLimits,
 )
-from systems.transfer import Motion, PlanTransfer
 
 SPEED, MAX_ACCELERATION = 0.45, 15.0
 ANGLES = np.linspace(0.0, 2 * np.pi, 80, endpoint=False)

@@ -6,8 +6,6 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 import pytest
-
-from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
 from systems.flight_trail import (
     DRAW_PERIOD,
     MAX_POINTS,
@@ -15,6 +13,8 @@ from systems.flight_trail import (
     AddFlightTrail,
     FlightTrail,
 )
+
+from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
 
 VELOCITY = np.array([0.5, -0.25, 0.125])
 WIDTH = 0.03

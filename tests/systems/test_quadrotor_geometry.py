@@ -8,10 +8,10 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 import pytest
 from scipy.spatial.transform import Rotation
+from systems.quadrotor_geometry import FRONT_COLOR, AddQuadrotorGeometry
 
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
 from systems import QuadrotorParameters
-from systems.quadrotor_geometry import FRONT_COLOR, AddQuadrotorGeometry
 
 PARAMETERS = QuadrotorParameters(arm_length=0.2)
 

@@ -113,7 +113,7 @@ def test_wanted_branch_may_change_in_a_transfer():
     assert flight.memory.flown == 0.0
     # It may change in a transfer; then the tour goes on where it was.
     flight.want(ON_TOUR)
-    assert flight.until(13.0).radius() == pytest.approx(1.0, abs=0.02)
+    assert flight.until(15.0).radius() == pytest.approx(1.0, abs=0.02)
     assert flight.history() == [FOLLOW, ("TRANSFER", 1), ("TRANSFER", 0), FOLLOW]
     assert flight.speeds(1.5).min() > 0.5 * SPEED
 

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 from scipy.interpolate import BPoly
+from systems.transfer import SPEED_RANGE, TURN_RATE, Motion, PlanStop, PlanTransfer
 
 from systems import transfer
-from systems.transfer import SPEED_RANGE, TURN_RATE, Motion, PlanStop, PlanTransfer
 
 SPEED, MAX_ACCELERATION = 0.45, 10.0
 
