@@ -98,7 +98,7 @@ def test_outputs_agree_with_the_function(dim, agents, extra):
     np.testing.assert_allclose(outputs["V_dot"], rate, rtol=1e-7, atol=1e-8)
 
 
-def test_level_costs_no_evaluation_and_V_neither_velocity_nor_gradient(function):
+def test_level_costs_no_evaluation_and_the_value_no_gradient(function):
     monitor = LyapunovMonitor(function, 2)
     context = monitor.CreateDefaultContext()
     monitor.GetInputPort("state").FixValue(context, [0.3, 0.4, -1.0, 1.0])

@@ -1,4 +1,4 @@
-"""The scalar law and its mixing against matrices written from Lee et al. 2010, RotorPy and Drake."""
+"""The law and its mixing against matrices written from Lee et al. 2010, RotorPy and Drake."""
 
 import math
 
