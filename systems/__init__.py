@@ -6,12 +6,15 @@ As in Drake, ``Add...(builder, ...)`` changes a builder and ``Make...`` returns 
 from systems.branch_supervisor import BranchSupervisor, BranchSupervisor_
 from systems.branches import Branch, MakeBranches
 from systems.controller import DEFAULT_GAINS, Se3Controller, Se3Controller_
-from systems.diagrams import MakeFlightDiagram, MakeSimulator
-from systems.faults import Dropout, Dropout_
-from systems.flight_trail import AddFlightTrail, FlightTrail
+from systems.diagrams import (
+    MakeFlightDiagram,
+    MakeSimulator,
+    SetHover,
+    SetNoiseSeed,
+    SetVehicleState,
+)
 from systems.guidance import FieldForSpeed, GuidanceSystem, GuidanceSystem_
 from systems.guidance_loop import AddGuidance, GuidanceParts
-from systems.initial_state import SetHover, SetNoiseSeed, SetVehicleState
 from systems.kinematic import (
     KinematicGuidance,
     KinematicGuidance_,
@@ -21,17 +24,30 @@ from systems.kinematic import (
 from systems.lyapunov_monitor import (
     AddLyapunovMonitor,
     DifferentiableFunction,
+    ExitWatch,
     LyapunovMonitor,
     LyapunovMonitor_,
+    StopOnExit,
+    SublevelExit,
+)
+from systems.moving_scene import (
+    AddFlightTrail,
+    AddQuadrotorGeometry,
+    FlightTrail,
+    QuadrotorGeometry,
 )
 from systems.quadrotor import QuadrotorParameters
-from systems.quadrotor_geometry import AddQuadrotorGeometry, QuadrotorGeometry
 from systems.scene_drawing import DrawField, DrawTube, DrawWaypoints
 from systems.se3_law import Body, Gains
-from systems.sensing import AddMotionCapture, MotionCapture, SensorParameters
+from systems.sensing import (
+    AddMotionCapture,
+    Dropout,
+    Dropout_,
+    MotionCapture,
+    SensorParameters,
+)
 from systems.state_estimator import StateEstimator, StateEstimator_
-from systems.stop_on_exit import ExitWatch, StopOnExit, SublevelExit
-from systems.supervisor_memory import HOLD_POSITION, ON_TOUR, Mode
+from systems.supervision import HOLD_POSITION, ON_TOUR, Mode
 from systems.visualization import (
     AddFlightVisualization,
     FlightVisualization,

@@ -1,42 +1,44 @@
 """A supervisor between guidance and controller: changes branches, and keeps a flight safe."""
 
 from collections.abc import Sequence
+from functools import partial
 import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydrake.common.value import Value
-from pydrake.systems.framework import BasicVector_, LeafSystem_, ValueProducer
+from pydrake.systems.framework import BasicVector_, LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 from sgvf_drake.arrays import FloatArray
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields.base import Field
 from systems.branches import Branch, CheckBranches, CheckedBox, CheckTour
-from systems.guidance import VELOCITY_OFFSET
-from systems.quadrotor import STATE_SIZE, QuadrotorParameters
+from systems.guidance import DeclareCommandPorts
+from systems.quadrotor import POSITION, STATE_SIZE, VELOCITY, QuadrotorParameters
 from systems.scalars import (
     SCALARS,
     CheckFinite,
     CheckFiniteParameter,
+    CheckNonNegativeParameter,
     CheckPositiveParameter,
-    CheckSpeed,
+    ConstructCopy,
     ToFloat,
     ToList,
     ToVector,
+    remembered,
 )
 from systems.sensing import DEFAULT_SAMPLE_PERIOD
-from systems.supervision import Supervision
-from systems.supervisor_memory import (
-    BRANCH_OFFSET,
+from systems.supervision import (
+    BRANCH,
     HOLD_POSITION,
+    MODE,
     ON_TOUR,
     CalcCommands,
     Memory,
-    Mode,
     Seen,
     Settings,
+    Supervision,
 )
 
 DEFAULT_HOLD_AFTER = 0.15
@@ -124,6 +126,7 @@ def BranchSupervisor_(T: type) -> Any:  # noqa: D103 (the class below says it)
             NonFiniteValueError: on evaluation, where an input is not finite.
         """
 
+        @remembered
         def _construct(
             self,
             field: Field,
@@ -147,16 +150,6 @@ def BranchSupervisor_(T: type) -> Any:  # noqa: D103 (the class below says it)
             CheckPositiveParameter("laps", laps)
             CheckFiniteParameter("landing_height", landing_height)
             CheckPositiveParameter("period", period)
-            self._arguments: dict[str, Any] = {
-                "field": field,
-                "branches": branches,
-                "tour": tour,
-                "laps": laps,
-                "parameters": parameters,
-                "box": box,
-                "landing_height": landing_height,
-                "period": period,
-            }
             self._dim, self._num_branches = field.dim, len(branches)
             vehicle = parameters or QuadrotorParameters()
             self._supervision = Supervision(
@@ -168,7 +161,16 @@ def BranchSupervisor_(T: type) -> Any:  # noqa: D103 (the class below says it)
                 landing_height,
                 period,
             )
-            self._DeclareInputs()
+            self._inputs = [
+                self.DeclareVectorInputPort(name, size)
+                for name, size in (
+                    ("state", STATE_SIZE),
+                    ("velocity_command", 3),
+                    ("acceleration_feedforward", 3),
+                    ("speed", 1),
+                    ("measurement_age", 1),
+                )
+            ]
             self.parameter_index = self.DeclareNumericParameter(
                 BasicVector_[T]([ON_TOUR, laps, DEFAULT_HOLD_AFTER, DEFAULT_LAND_AFTER])
             )
@@ -177,43 +179,14 @@ def BranchSupervisor_(T: type) -> Any:  # noqa: D103 (the class below says it)
             self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._Update)
             self._DeclareOutputs()
 
-        def _construct_copy(self, other: Any, converter: Any = None) -> None:
-            Impl._construct(self, **other._arguments, converter=converter)
-
-        def _DeclareInputs(self) -> None:
-            self._state = self.DeclareVectorInputPort("state", STATE_SIZE)
-            self._velocity_command = self.DeclareVectorInputPort("velocity_command", 3)
-            self._acceleration_feedforward = self.DeclareVectorInputPort(
-                "acceleration_feedforward", 3
-            )
-            self._speed = self.DeclareVectorInputPort("speed", 1)
-            self._age = self.DeclareVectorInputPort("measurement_age", 1)
+        _construct_copy = ConstructCopy
 
         def _DeclareOutputs(self) -> None:
             memory = self.discrete_state_ticket(self._memory_index)
-            inputs = (self._state, self._velocity_command, self._acceleration_feedforward)
-            # Named, and without the time: see GuidanceSystem.
-            sources = {memory, *(self.input_port_ticket(p.get_index()) for p in inputs)}
-            self._commands = self.DeclareCacheEntry(
-                "commands",
-                ValueProducer(
-                    allocate=lambda: Value[BasicVector_[T]](BasicVector_[T](6)),
-                    calc=self._CalcCommands,
-                ),
-                sources,
-            )
-            commands = {self._commands.ticket()}
-            self.DeclareVectorOutputPort(
-                "velocity_command", 3, self._CopyVelocityCommand, sources | commands
-            )
-            self.DeclareVectorOutputPort(
-                "acceleration_feedforward",
-                3,
-                self._CopyAccelerationFeedforward,
-                sources | commands,
-            )
-            self.DeclareVectorOutputPort("mode", 1, self._CopyMode, {memory})
-            self.DeclareVectorOutputPort("branch", 1, self._CopyBranch, {memory})
+            tickets = (self.input_port_ticket(port.get_index()) for port in self._inputs[:3])
+            DeclareCommandPorts(self, T, self._CalcCommands, {memory, *tickets})
+            for name, entry in (("mode", MODE), ("branch", BRANCH)):
+                self.DeclareVectorOutputPort(name, 1, partial(self._CopyEntry, entry), {memory})
 
         def GetBranch(self, context: Any) -> int:
             """Returns the wanted branch: a number, `HOLD_POSITION` or `ON_TOUR`."""
@@ -281,58 +254,38 @@ def BranchSupervisor_(T: type) -> Any:  # noqa: D103 (the class below says it)
             vector.SetFromVector(ToVector(T, memory.ToVector().tolist()))
 
         def _See(self, context: Any) -> Seen:
-            state, velocity_command, acceleration, speed = (
-                self._EvalFinite(context, port)
-                for port in (
-                    self._state,
-                    self._velocity_command,
-                    self._acceleration_feedforward,
-                    self._speed,
-                )
+            state, velocity_command, acceleration, speed, age = (
+                self._EvalFinite(context, port) for port in self._inputs
             )
-            CheckSpeed(speed[0])
-            age = (
-                self._EvalFinite(context, self._age)[0] if self._age.HasValue(context) else 0.0
-            )
+            CheckNonNegativeParameter("speed", speed[0])
             return Seen(
                 ToFloat(context.get_time()),
-                state[:3],
-                state[VELOCITY_OFFSET : VELOCITY_OFFSET + 3],
+                state[POSITION],
+                state[VELOCITY],
                 velocity_command,
                 acceleration,
                 float(speed[0]),
-                float(age),
+                float(age[0]),
             )
 
         def _EvalFinite(self, context: Any, port: Any) -> FloatArray:
+            if not port.HasValue(context) and port is self._inputs[-1]:
+                return np.zeros(1)  # The measurement is always fresh.
             values = ToList(port.Eval(context))
             CheckFinite(self, context, port, values)
             return np.array(values)
 
-        def _CalcCommands(self, context: Any, value: Any) -> None:
-            state = self._state.Eval(context)
-            velocity = self._velocity_command.Eval(context)
-            acceleration = self._acceleration_feedforward.Eval(context)
-            memory = self._Vector(context).tolist()
-            guided = 3 if ToFloat(memory[0]) == Mode.LAND else self._dim
+        def _CalcCommands(self, context: Any) -> Any:
+            state, *guidance = (port.Eval(context) for port in self._inputs[:3])
             commands = CalcCommands(
-                memory, guided, state.tolist(), velocity.tolist(), acceleration.tolist()
+                self._Vector(context), self._dim, state, np.concatenate(guidance)
             )
             if not math.isfinite(ToFloat(sum(commands))):
                 self._See(context)
-            value.get_mutable_value().SetFromVector(commands)
+            return commands
 
-        def _CopyVelocityCommand(self, context: Any, output: Any) -> None:
-            output.SetFromVector(self._commands.Eval(context).CopyToVector()[:3])
-
-        def _CopyAccelerationFeedforward(self, context: Any, output: Any) -> None:
-            output.SetFromVector(self._commands.Eval(context).CopyToVector()[3:])
-
-        def _CopyMode(self, context: Any, output: Any) -> None:
-            output.SetAtIndex(0, self._Vector(context)[0])
-
-        def _CopyBranch(self, context: Any, output: Any) -> None:
-            output.SetAtIndex(0, self._Vector(context)[BRANCH_OFFSET])
+        def _CopyEntry(self, entry: int, context: Any, output: Any) -> None:
+            output.SetAtIndex(0, self._Vector(context)[entry])
 
         def _Vector(self, context: Any) -> Any:
             return context.get_discrete_state(self._memory_index).CopyToVector()

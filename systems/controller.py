@@ -8,20 +8,26 @@ from pydrake.systems.framework import BasicVector_, LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 from sgvf_drake.compiling import digest, kernel
-from systems import mixing, quadrotor, scalar_math, se3_law
-from systems.mixing import CalcPropellerForces
-from systems.quadrotor import NUM_PROPELLERS, STATE_SIZE, QuadrotorParameters, Rotors
-from systems.scalar_math import compilable
+from systems import quadrotor, scalars, se3_law
+from systems.quadrotor import (
+    ATTITUDE,
+    NUM_PROPELLERS,
+    STATE_SIZE,
+    QuadrotorParameters,
+    Rotors,
+)
 from systems.scalars import (
     SCALARS,
     CheckFinite,
     CheckFiniteParameter,
     CheckPositiveParameter,
-    Scalar,
+    ConstructCopy,
+    ToFloat,
     ToList,
     ToVector,
+    remembered,
 )
-from systems.se3_law import Body, CalcAttitude, CalcThrustAndTorque, Gains, Vector3
+from systems.se3_law import Body, CalcAttitude, CalcPropellerInput, Gains
 
 DEFAULT_GAINS = Gains(
     velocity_gain=3.0, attitude_bandwidth=12.0, damping_ratio=0.7, heading=0.0
@@ -78,6 +84,7 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
             NonFiniteValueError: on evaluation, where an input or a force is not finite.
         """
 
+        @remembered
         def _construct(
             self,
             parameters: QuadrotorParameters | None = None,
@@ -87,11 +94,6 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
         ) -> None:
             LeafSystem_[T].__init__(self, converter=converter)
             _CheckGains(gains)
-            self._arguments: dict[str, Any] = {
-                "parameters": parameters,
-                "gains": gains,
-                "saturate": saturate,
-            }
             self._parameters = parameters or QuadrotorParameters()
             self._saturate = saturate
             self._state = self.DeclareVectorInputPort("state", STATE_SIZE)
@@ -108,8 +110,7 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
             )
             self.DeclareVectorOutputPort("acceleration", 3, self._CalcAcceleration, sources)
 
-        def _construct_copy(self, other: Any, converter: Any = None) -> None:
-            Impl._construct(self, **other._arguments, converter=converter)
+        _construct_copy = ConstructCopy
 
         @property
         def parameters(self) -> QuadrotorParameters:
@@ -118,7 +119,9 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
 
         def GetGains(self, context: Any) -> Gains:
             """Returns the gains."""
-            return Gains(*_Values(context, self.gains_index))
+            return Gains(
+                *context.get_numeric_parameter(self.gains_index).CopyToVector().tolist()
+            )
 
         def SetGains(self, context: Any, gains: Gains) -> None:
             """Sets the gains; this system's own Context is wanted.
@@ -132,7 +135,7 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
 
         def GetBody(self, context: Any) -> Body:
             """Returns the mass in kg and the inertia in kg m^2 that are believed."""
-            return Body(*_Values(context, self.body_index))
+            return Body(*context.get_numeric_parameter(self.body_index).CopyToVector().tolist())
 
         def SetBody(self, context: Any, body: Body) -> None:
             """Sets the mass in kg and the inertia in kg m^2 that are believed.
@@ -157,30 +160,26 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
                 self._saturate,
             )
             if T is float:
-                forces = _CalcForcesCompiled(*arguments)
-                # Looked at afterwards: a bad input makes them NaN, and checks in Python
+                # Looked at afterwards: a bad input makes the forces NaN, and checks in Python
                 # would cost more than the law.
-                if not math.isfinite(forces[0]):
-                    self._CheckInputs(context)
-                    self._CheckForces(context, forces)
+                forces = _CalcInputCompiled(*arguments)
             else:
                 self._CheckInputs(context)
-                forces = np.array(_CalcForces(*arguments))
-                self._CheckForces(context, forces)
+                forces = np.array(CalcPropellerInput(*arguments))
+            if not math.isfinite(ToFloat(forces[0])):
+                self._CheckInputs(context)
+                # The law has no direction for a thrust vector of zero, and overflows far away.
+                CheckFinite(self, context, "the propeller force", ToList(forces))
             output.SetFromVector(forces)
 
         def _CalcAcceleration(self, context: Any, output: Any) -> None:
             forces = self._propeller_force.Eval(context)
-            roll, pitch, yaw = self._state.Eval(context)[3:6].tolist()
+            roll, pitch, yaw = self._state.Eval(context)[ATTITUDE].tolist()
             R_WB, _ = CalcAttitude((roll, pitch, yaw), (0.0, 0.0, 0.0))
             thrust = self._parameters.force_constant * forces.sum()
             lift = thrust / self._parameters.mass
             x, y, z = R_WB[2]
             output.SetFromVector([lift * x, lift * y, lift * z - self._parameters.gravity])
-
-        def _CheckForces(self, context: Any, forces: np.ndarray) -> None:
-            # The law has no direction for a thrust vector of zero, and overflows far away.
-            CheckFinite(self, context, "the propeller force", ToList(forces))
 
         def _CheckInputs(self, context: Any) -> None:
             for port in (self._state, self._velocity_command, self._acceleration_feedforward):
@@ -194,10 +193,6 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
 Se3Controller = Se3Controller_[None]
 
 
-def _Values(context: Any, index: Any) -> list[Scalar]:
-    return context.get_numeric_parameter(index).CopyToVector().tolist()
-
-
 def _CheckGains(gains: Gains) -> None:
     for name in ("velocity_gain", "attitude_bandwidth", "damping_ratio"):
         CheckPositiveParameter(name, getattr(gains, name))
@@ -209,52 +204,9 @@ def _CheckBody(body: Body) -> None:
         CheckPositiveParameter(name, value)
 
 
-@compilable
-def _CalcDemand(
-    state: Any,
-    velocity_command: Any,
-    acceleration: Any,
-    gains: Any,
-    body: Any,
-    rotors: Rotors,
-    gravity: float,
-    saturate: bool,
-) -> tuple[Scalar, Vector3]:
-    """The law from arrays to thrust and torque."""
-    return CalcThrustAndTorque(
-        Body(body[0], body[1], body[2], body[3]),
-        Gains(gains[0], gains[1], gains[2], gains[3]),
-        (state[3], state[4], state[5]),
-        (state[6], state[7], state[8]),
-        (state[9], state[10], state[11]),
-        (velocity_command[0], velocity_command[1], velocity_command[2]),
-        (acceleration[0], acceleration[1], acceleration[2]),
-        gravity,
-        NUM_PROPELLERS * rotors.max_force,
-        saturate,
-    )
-
-
-@compilable
-def _CalcInput(
-    thrust: Scalar, torque: Vector3, rotors: Rotors, saturate: bool
-) -> tuple[Scalar, Scalar, Scalar, Scalar]:
-    """From thrust and torque to the input of QuadrotorPlant."""
-    a, b, c, d = CalcPropellerForces(rotors, thrust, torque, saturate)
-    k = rotors.force_constant
-    return a / k, b / k, c / k, d / k
-
-
-def _CalcForces(*arguments: Any) -> tuple[Scalar, Scalar, Scalar, Scalar]:
-    """The law in the interpreter."""
-    thrust, torque = _CalcDemand(*arguments)
-    *_, rotors, _, saturate = arguments
-    return _CalcInput(thrust, torque, rotors, saturate)
-
-
 def _MakeCompiled(sources: int) -> Any:
     @kernel
-    def calc_forces(
+    def calc_input(
         state: np.ndarray,
         velocity_command: np.ndarray,
         acceleration: np.ndarray,
@@ -265,13 +217,8 @@ def _MakeCompiled(sources: int) -> Any:
         saturate: bool,
     ) -> np.ndarray:
         sources  # noqa: B018 (enclosed to be in the key of the cache; see `digest`)
-        thrust, torque = _CalcDemand(
-            state, velocity_command, acceleration, gains, body, rotors, gravity, saturate
-        )
-        # Limits would hide a NaN: the least of a number and a NaN may be the number.
         usable = (
-            np.isfinite(thrust + torque[0] + torque[1] + torque[2])
-            and np.isfinite(state).all()
+            np.isfinite(state).all()
             and np.isfinite(velocity_command).all()
             and np.isfinite(acceleration).all()
             and np.isfinite(gains).all()
@@ -281,10 +228,14 @@ def _MakeCompiled(sources: int) -> Any:
         )
         if not usable:
             return np.full(NUM_PROPELLERS, np.nan)
-        return np.array(_CalcInput(thrust, torque, rotors, saturate))
+        return np.array(
+            CalcPropellerInput(
+                state, velocity_command, acceleration, gains, body, rotors, gravity, saturate
+            )
+        )
 
-    return calc_forces
+    return calc_input
 
 
-_CalcForcesCompiled = _MakeCompiled(digest(se3_law, mixing, quadrotor, scalar_math))
+_CalcInputCompiled = _MakeCompiled(digest(se3_law, quadrotor, scalars))
 """The law as an array (4,), which is NaN where an input or a parameter cannot be used."""

@@ -1,40 +1,42 @@
-"""Whole flights: guidance, controller, motion capture and vehicle put together."""
+"""Whole flights: put together, started from a state, and simulated."""
 
 import math
 from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator_, SimulatorConfig
 from pydrake.systems.framework import (
+    Context,
     Diagram,
+    Diagram_,
     DiagramBuilder,
     OutputPort,
     System,
     System_,
 )
-from pydrake.systems.primitives import Demultiplexer, LogVectorOutput
-
-from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.fields.base import Field
-from systems.guidance import (
-    DEFAULT_ALTITUDE,
-    DEFAULT_SPEED,
-    VELOCITY_OFFSET,
+from pydrake.systems.primitives import (
+    Demultiplexer,
+    LogVectorOutput,
+    PassThrough,
+    PassThrough_,
 )
+
+from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
+from sgvf_drake.fields.base import Field
+from systems.guidance import DEFAULT_ALTITUDE, DEFAULT_SPEED
 from systems.guidance_loop import AddGuidance
 from systems.lyapunov_monitor import AddLyapunovMonitor, DifferentiableFunction
-from systems.quadrotor import STATE_SIZE, QuadrotorParameters
+from systems.quadrotor import STATE_SIZE, VELOCITY, QuadrotorParameters
 from systems.scalars import ToFloat
-from systems.sensing import DEFAULT_SAMPLE_PERIOD, SensorParameters
+from systems.sensing import DEFAULT_SAMPLE_PERIOD, MotionCapture, SensorParameters
 from systems.visualization import AddFlightVisualization
 
 INTEGRATION_STEP = 0.005
 """s; the fixed step of "runge_kutta3".  Halving it moves a flight on a circle of 1 m by less
 than 1 um at 2 m/s, and by less than 10 um at 4 m/s."""
-
-
-_AutoDiffSystem = System_[AutoDiffXd]
 
 
 def MakeFlightDiagram(
@@ -112,8 +114,7 @@ def MakeFlightDiagram(
         if supervisor is not None:
             logged += [supervisor.GetOutputPort(name) for name in ("mode", "branch")]
         for port in logged:
-            log = LogVectorOutput(port, builder, log_period)
-            log.set_name(f"{port.get_name()}_log")
+            LogVectorOutput(port, builder, log_period).set_name(f"{port.get_name()}_log")
     if lyapunov is not None:
         AddLyapunovMonitor(
             builder,
@@ -136,10 +137,86 @@ def _VelocityPort(builder: DiagramBuilder, plant: System, dim: int) -> OutputPor
         raise ConfigurationError(
             f"a vehicle needs a Lyapunov function of dimension 2 or 3, got {dim}"
         )
-    sizes = [VELOCITY_OFFSET, dim, STATE_SIZE - VELOCITY_OFFSET - dim]
+    sizes = [VELOCITY.start, dim, STATE_SIZE - VELOCITY.start - dim]
     parts = builder.AddNamedSystem("state_parts", Demultiplexer(sizes))
     builder.Connect(plant.GetOutputPort("state"), parts.get_input_port())
     return parts.get_output_port(1)
+
+
+def SetHover(diagram: Diagram, context: Context, position: ArrayLike) -> None:
+    """Sets a flight to hover, level and at rest.
+
+    Args:
+        diagram: From `MakeFlightDiagram`, or any with systems "plant" and "motion_capture".
+        context: Of the diagram.
+        position: p_WB of shape (3,) in m.
+
+    Raises:
+        ConfigurationError: if the shape is wrong.
+        NonFiniteValueError: if the position is not finite.
+    """
+    p_WB = np.asarray(position, dtype=np.float64)
+    if p_WB.shape != (3,):
+        raise ConfigurationError(f"position must have shape (3,), got {p_WB.shape}")
+    SetVehicleState(diagram, context, np.concatenate((p_WB, np.zeros(STATE_SIZE - 3))))
+
+
+def SetVehicleState(diagram: Diagram, context: Context, state: ArrayLike) -> None:
+    """Sets the state of the vehicle, and of the motion capture that has just seen it.
+
+    Args:
+        diagram: From `MakeFlightDiagram`, or any with systems "plant" and "motion_capture".
+        context: Of the diagram.
+        state: Of shape (12,), as QuadrotorPlant's.
+
+    Raises:
+        ConfigurationError: if the shape is wrong, or the diagram is a converted or cloned one
+            with sensors.
+        NonFiniteValueError: if the state is not finite.
+    """
+    values: Any = np.asarray(state, dtype=np.float64)
+    if values.shape != (STATE_SIZE,):
+        raise ConfigurationError(f"state must have shape ({STATE_SIZE},), got {values.shape}")
+    if not np.isfinite(values).all():
+        raise NonFiniteValueError(f"the vehicle's state must be finite: {values.tolist()}")
+    plant = diagram.GetSubsystemByName("plant")
+    plant.GetMyMutableContextFromRoot(context).SetContinuousState(values)
+    capture: Any = diagram.GetSubsystemByName("motion_capture")
+    if isinstance(capture, (PassThrough, PassThrough_[AutoDiffXd])):
+        return
+    _CheckBuilt(capture)
+    capture.SetVectorState(capture.GetMyMutableContextFromRoot(context), values)
+
+
+def SetNoiseSeed(diagram: Diagram, context: Context, seed: int) -> None:
+    """Sets the seed of a flight's measurements, so that it repeats exactly.
+
+    Measurements without noise need none, and take none.
+
+    Args:
+        diagram: From `MakeFlightDiagram`, or any with a system "motion_capture".
+        context: Of the diagram.
+        seed: Not negative.
+
+    Raises:
+        ConfigurationError: if the diagram is a converted or cloned one with sensors.
+    """
+    capture: Any = diagram.GetSubsystemByName("motion_capture")
+    _CheckBuilt(capture)
+    if isinstance(capture, MotionCapture):
+        capture.SetNoiseSeed(capture.GetMyMutableContextFromRoot(context), seed)
+
+
+def _CheckBuilt(capture: Any) -> None:
+    """Raises ConfigurationError on what Drake has made of a `MotionCapture`."""
+    if isinstance(capture, (Diagram, Diagram_[AutoDiffXd])) and not isinstance(
+        capture, MotionCapture
+    ):
+        raise ConfigurationError(
+            "converted or cloned sensors have no start and no seed to set: set them in a "
+            "Context of the diagram that was built, and take them over by "
+            "SetTimeStateAndParametersFrom"
+        )
 
 
 def MakeSimulator(diagram: Any, context: Any = None, step: float = INTEGRATION_STEP) -> Any:
@@ -154,7 +231,9 @@ def MakeSimulator(diagram: Any, context: Any = None, step: float = INTEGRATION_S
     Returns:
         Drake's Simulator_[T], for the diagram's scalar type T.
     """
-    simulator_class = Simulator_[AutoDiffXd if isinstance(diagram, _AutoDiffSystem) else float]
+    simulator_class = Simulator_[
+        AutoDiffXd if isinstance(diagram, System_[AutoDiffXd]) else float
+    ]
     simulator = simulator_class(*(arg for arg in (diagram, context) if arg is not None))
     config = SimulatorConfig(
         integration_scheme="runge_kutta3",

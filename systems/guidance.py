@@ -13,20 +13,23 @@ from pydrake.systems.scalar_conversion import TemplateSystem
 from sgvf_drake.compiling import digest, kernel
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields.base import AdjustableField, CompilableField, Field
-from systems import scalar_math
-from systems.quadrotor import STATE_SIZE
-from systems.scalar_math import Tanh, compilable
+from systems import quadrotor, scalars
+from systems.quadrotor import STATE_SIZE, VELOCITY
 from systems.scalars import (
     SCALARS,
     CheckConstant,
     CheckFinite,
     CheckFiniteParameter,
+    CheckNonNegativeParameter,
     CheckPositiveParameter,
-    CheckSpeed,
+    ConstructCopy,
     EvalField,
     Scalar,
+    Tanh,
     ToFloat,
     ToList,
+    compilable,
+    remembered,
 )
 
 DEFAULT_SPEED = 0.45
@@ -47,9 +50,6 @@ MAX_APPROACH_RATE = 4.0
 attitude bandwidth of the default controller: beyond about 8 the flight oscillates across the
 path, below it costs nothing measurable."""
 
-VELOCITY_OFFSET = 6
-"""Where v_WB starts in the state."""
-
 WIDENED_FIELDS = 8
 """Fields of other approach lengths that a system keeps, one for each speed in use."""
 
@@ -67,12 +67,14 @@ def FieldForSpeed(field: Field, speed: float) -> Field:
     """
     if not isinstance(field, AdjustableField):
         return field
-    needed = ApproachLengthForSpeed(field, speed)
+    needed = _ApproachLength(field, speed)
     return field.with_approach_length(needed) if needed > field.approach_length else field
 
 
-def ApproachLengthForSpeed(field: AdjustableField, speed: Scalar) -> float:
-    """Returns the approach length in m at which a vehicle follows the field at a speed."""
+def _ApproachLength(field: Field, speed: Scalar) -> float:
+    """Returns the approach length in m at which a vehicle follows a field, 0 if it has none."""
+    if not isinstance(field, AdjustableField):
+        return 0.0
     return max(field.approach_length, ToFloat(speed) / MAX_APPROACH_RATE)
 
 
@@ -129,6 +131,7 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             NonFiniteValueError: on evaluation, where the state or the field is not finite.
         """
 
+        @remembered
         def _construct(
             self,
             field: Field,
@@ -142,14 +145,8 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
                 raise ConfigurationError(
                     f"a vehicle needs a field of dimension 2 or 3, got {field.dim}"
                 )
-            CheckSpeed(speed)
+            CheckNonNegativeParameter("speed", speed)
             CheckFiniteParameter("altitude", altitude)
-            self._arguments: dict[str, Any] = {
-                "field": field,
-                "speed": speed,
-                "altitude": altitude,
-                "feedforward": feedforward,
-            }
             self._field = field
             self._is_adjustable = isinstance(field, AdjustableField)
             self._Flown = lru_cache(WIDENED_FIELDS)(partial(_Fly, field, T))
@@ -157,37 +154,14 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             self._Calc = _CalcCommandsCompiled if T is float else _CalcCommandsInPython
             self._state = self.DeclareVectorInputPort("state", STATE_SIZE)
             self.parameter_index = self.DeclareNumericParameter(
-                BasicVector_[T]([speed, altitude, self._ApproachLength(speed)])
+                BasicVector_[T]([speed, altitude, _ApproachLength(field, speed)])
             )
-            state_and_parameters = {
-                self.input_port_ticket(self._state.get_index()),
-                self.all_parameters_ticket(),
-            }
-            # Velocity and acceleration, one after the other.  A Value of anything but a
-            # BasicVector aborts when fields are evaluated in batches.
-            self._commands = self.DeclareCacheEntry(
-                "commands",
-                ValueProducer(
-                    allocate=lambda: Value[BasicVector_[T]](BasicVector_[T](6)),
-                    calc=self._CalcCommands,
-                ),
-                state_and_parameters,
-            )
-            # Named: the default takes in the time, and then the controller would be
-            # evaluated in every stage of the integrator instead of once in a sample.
-            sources = state_and_parameters | {self._commands.ticket()}
-            self.DeclareVectorOutputPort(
-                "velocity_command", 3, self._CopyVelocityCommand, sources
-            )
-            self.DeclareVectorOutputPort(
-                "acceleration_feedforward", 3, self._CopyAccelerationFeedforward, sources
-            )
-            self.DeclareVectorOutputPort(
-                "speed", 1, self._CalcSpeed, {self.all_parameters_ticket()}
-            )
+            state = self.input_port_ticket(self._state.get_index())
+            parameters = self.all_parameters_ticket()
+            DeclareCommandPorts(self, T, self._CalcCommands, {state, parameters})
+            self.DeclareVectorOutputPort("speed", 1, self._CalcSpeed, {parameters})
 
-        def _construct_copy(self, other: Any, converter: Any = None) -> None:
-            Impl._construct(self, **other._arguments, converter=converter)
+        _construct_copy = ConstructCopy
 
         @property
         def field(self) -> Field:
@@ -208,10 +182,10 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             This system's own Context is wanted.  A derivative by the speed is the one at
             this approach length, which has none.
             """
-            CheckSpeed(speed)
+            CheckNonNegativeParameter("speed", speed)
             parameters = context.get_mutable_numeric_parameter(self.parameter_index)
             parameters.SetAtIndex(0, speed)
-            parameters.SetAtIndex(2, T(self._ApproachLength(speed)))
+            parameters.SetAtIndex(2, T(_ApproachLength(self._field, speed)))
 
         def GetAltitude(self, context: Any) -> Scalar:
             """Returns the altitude in m."""
@@ -237,11 +211,6 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             CheckPositiveParameter("approach_length", length)
             context.get_mutable_numeric_parameter(self.parameter_index).SetAtIndex(2, T(length))
 
-        def _ApproachLength(self, speed: Scalar) -> float:
-            if not isinstance(self._field, AdjustableField):
-                return 0.0
-            return ApproachLengthForSpeed(self._field, speed)
-
         def _ReadParameters(self, context: Any) -> list[Scalar]:
             """Returns speed, altitude and, as a plain float, approach length."""
             parameters = self._Parameters(context).CopyToVector().tolist()
@@ -252,10 +221,10 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
         def _Parameters(self, context: Any) -> Any:
             return context.get_numeric_parameter(self.parameter_index)
 
-        def _CalcCommands(self, context: Any, value: Any) -> None:
+        def _CalcCommands(self, context: Any) -> np.ndarray:
             state = self._state.Eval(context)
             speed, altitude, approach_length = self._ReadParameters(context)
-            CheckSpeed(speed)
+            CheckNonNegativeParameter("speed", speed)
             field = self._Flown(approach_length).evaluate(state[: self._field.dim])
             commands = self._Calc(field, state, speed, altitude)
             # Looked at afterwards: what is not finite has made all commands so.
@@ -265,13 +234,7 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
                 CheckFinite(self, context, "the command", ToList(commands))
             if not self._feedforward:
                 commands[3:] = T(0.0)
-            value.get_mutable_value().SetFromVector(commands)
-
-        def _CopyVelocityCommand(self, context: Any, output: Any) -> None:
-            output.SetFromVector(self._commands.Eval(context).CopyToVector()[:3])
-
-        def _CopyAccelerationFeedforward(self, context: Any, output: Any) -> None:
-            output.SetFromVector(self._commands.Eval(context).CopyToVector()[3:])
+            return commands
 
         def _CalcSpeed(self, context: Any, output: Any) -> None:
             output.SetAtIndex(0, self.GetSpeed(context))
@@ -282,13 +245,51 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
 GuidanceSystem = GuidanceSystem_[None]
 
 
+def DeclareCommandPorts(
+    system: Any, T: type, calc: Callable[[Any], Any], sources: set[Any]
+) -> None:
+    """Declares the outputs `velocity_command` and `acceleration_feedforward` of a system.
+
+    Args:
+        system: Of the scalar type T; is changed.
+        T: The scalar type.
+        calc: Returns velocity and acceleration (6,) for a Context, once for both ports.
+        sources: Tickets of what `calc` depends on.
+    """
+
+    def Calc(context: Any, value: Any) -> None:
+        value.get_mutable_value().SetFromVector(calc(context))
+
+    # A Value of anything but a BasicVector aborts when fields are evaluated in batches.
+    commands = system.DeclareCacheEntry(
+        "commands",
+        ValueProducer(
+            allocate=lambda: Value[BasicVector_[T]](BasicVector_[T](6)),
+            calc=Calc,
+        ),
+        sources,
+    )
+
+    def Copy(part: slice, context: Any, output: Any) -> None:
+        output.SetFromVector(commands.Eval(context).CopyToVector()[part])
+
+    # The sources are named: the default takes in the time, and then the controller would be
+    # evaluated in every stage of the integrator instead of once in a sample.
+    sources = sources | {commands.ticket()}
+    for name, part in (
+        ("velocity_command", slice(0, 3)),
+        ("acceleration_feedforward", slice(3, 6)),
+    ):
+        system.DeclareVectorOutputPort(name, 3, partial(Copy, part), sources)
+
+
 @compilable
 def _CalcCommands(
     field: np.ndarray, state: np.ndarray, speed: Scalar, altitude: Scalar, commands: np.ndarray
 ) -> np.ndarray:
     """Fills in the commands (6,) from m and J by rows, the vehicle's state, the parameters."""
     dim = 2 if len(field) == 6 else 3
-    v_WB = state[VELOCITY_OFFSET:]
+    v_WB = state[VELOCITY]
     for i in range(dim):
         row = field[dim + dim * i :]
         J_v = row[0] * v_WB[0] + row[1] * v_WB[1]
@@ -327,7 +328,7 @@ def _MakeCompiled(sources: int) -> Any:
     return calc_commands
 
 
-_CalcCommandsCompiled = _MakeCompiled(digest(scalar_math))
+_CalcCommandsCompiled = _MakeCompiled(digest(scalars, quadrotor))
 
 
 class _FlownField(NamedTuple):

@@ -17,6 +17,9 @@ from systems.sensing import (
     SensorParameters,
 )
 
+COMMANDS = ("velocity_command", "acceleration_feedforward")
+"""Ports of guidance, of a supervisor and of the controller."""
+
 
 class GuidanceParts(NamedTuple):
     """What `AddGuidance` adds to a diagram.
@@ -95,67 +98,37 @@ def AddGuidance(
                 "parameters must be given for a plant that is not a QuadrotorPlant"
             )
         parameters = QuadrotorParameters.FromPlant(plant)
-    parts = GuidanceParts(
-        builder.AddNamedSystem("guidance", GuidanceSystem(field, speed, altitude, feedforward)),
-        builder.AddNamedSystem("controller", Se3Controller(parameters, saturate=saturate)),
-        _AddSensing(
-            builder, measured_port or plant.GetOutputPort("state"), sample_period, sensors
-        ),
-        supervisor and builder.AddNamedSystem("supervisor", supervisor),
+    guidance = builder.AddNamedSystem(
+        "guidance", GuidanceSystem(field, speed, altitude, feedforward)
     )
-    _ConnectState(builder, parts)
-    _ConnectCommands(builder, parts)
-    builder.Connect(
-        parts.controller.GetOutputPort("propeller_force"),
-        plant.GetInputPort("propeller_force"),
+    controller = builder.AddNamedSystem(
+        "controller", Se3Controller(parameters, saturate=saturate)
     )
-    return parts
-
-
-def _AddSensing(
-    builder: DiagramBuilder,
-    state_port: OutputPort,
-    sample_period: float,
-    sensors: SensorParameters | None,
-) -> Any:
+    state_port = measured_port or plant.GetOutputPort("state")
+    capture: Any
     if sensors is None:
-        return AddMotionCapture(builder, state_port, sample_period)
-    capture = builder.AddNamedSystem("motion_capture", MotionCapture(sensors))
-    builder.Connect(state_port, capture.GetInputPort("state"))
-    return capture
-
-
-def _ConnectState(builder: DiagramBuilder, parts: GuidanceParts) -> None:
-    """Connects what was measured."""
-    capture = parts.motion_capture
-    if isinstance(capture, MotionCapture):
-        state, onboard = (capture.GetOutputPort(n) for n in ("state", "onboard_state"))
-    else:
+        capture = AddMotionCapture(builder, state_port, sample_period)
         state = onboard = capture.get_output_port()
-    builder.Connect(state, parts.guidance.GetInputPort("state"))
-    builder.Connect(onboard, parts.controller.GetInputPort("state"))
-    if parts.supervisor is None:
-        return
-    builder.Connect(state, parts.supervisor.GetInputPort("state"))
-    if isinstance(capture, MotionCapture):
-        builder.Connect(
-            capture.GetOutputPort("measurement_age"),
-            parts.supervisor.GetInputPort("measurement_age"),
-        )
+    else:
+        capture = builder.AddNamedSystem("motion_capture", MotionCapture(sensors))
+        builder.Connect(state_port, capture.GetInputPort("state"))
+        state, onboard = (capture.GetOutputPort(n) for n in ("state", "onboard_state"))
+        _Connect(builder, controller, capture, "acceleration")
+    builder.Connect(state, guidance.GetInputPort("state"))
+    builder.Connect(onboard, controller.GetInputPort("state"))
+    commander = guidance
+    if supervisor is not None:
+        commander = builder.AddNamedSystem("supervisor", supervisor)
+        builder.Connect(state, supervisor.GetInputPort("state"))
+        _Connect(builder, guidance, supervisor, *COMMANDS, "speed")
+        if sensors is not None:
+            _Connect(builder, capture, supervisor, "measurement_age")
+    _Connect(builder, commander, controller, *COMMANDS)
+    _Connect(builder, controller, plant, "propeller_force")
+    return GuidanceParts(guidance, controller, capture, supervisor)
 
 
-def _ConnectCommands(builder: DiagramBuilder, parts: GuidanceParts) -> None:
-    """Connects guidance with the controller, through the supervisor if there is one."""
-    source = parts.guidance
-    names = ("velocity_command", "acceleration_feedforward")
-    if parts.supervisor is not None:
-        for name in (*names, "speed"):
-            builder.Connect(source.GetOutputPort(name), parts.supervisor.GetInputPort(name))
-        source = parts.supervisor
+def _Connect(builder: DiagramBuilder, source: System, target: System, *names: str) -> None:
+    """Connects the ports of these names."""
     for name in names:
-        builder.Connect(source.GetOutputPort(name), parts.controller.GetInputPort(name))
-    if isinstance(parts.motion_capture, MotionCapture):
-        builder.Connect(
-            parts.controller.GetOutputPort("acceleration"),
-            parts.motion_capture.GetInputPort("acceleration"),
-        )
+        builder.Connect(source.GetOutputPort(name), target.GetInputPort(name))

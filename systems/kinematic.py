@@ -18,7 +18,15 @@ from pydrake.systems.scalar_conversion import TemplateSystem
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
 from sgvf_drake.fields.base import Field
 from systems.lyapunov_monitor import AddLyapunovMonitor, DifferentiableFunction
-from systems.scalars import SCALARS, CheckFiniteAgents, CheckSpeed, EvalFieldValue, Scalar
+from systems.scalars import (
+    SCALARS,
+    CheckFiniteAgents,
+    CheckNonNegativeParameter,
+    ConstructCopy,
+    EvalFieldValue,
+    Scalar,
+    remembered,
+)
 
 
 @TemplateSystem.define("KinematicGuidance_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
@@ -50,6 +58,7 @@ def KinematicGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
                 finite; the message names the agent.
         """
 
+        @remembered
         def _construct(
             self,
             field: Field,
@@ -60,12 +69,7 @@ def KinematicGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
             LeafSystem_[T].__init__(self, converter=converter)
             if num_agents < 1:
                 raise ConfigurationError(f"num_agents must be at least 1, got {num_agents}")
-            CheckSpeed(speed)
-            self._arguments: dict[str, Any] = {
-                "field": field,
-                "num_agents": num_agents,
-                "speed": speed,
-            }
+            CheckNonNegativeParameter("speed", speed)
             self._field = field
             # One agent is asked for as a point: a field may be faster without a batch.
             self._shape = (field.dim,) if num_agents == 1 else (num_agents, field.dim)
@@ -79,8 +83,7 @@ def KinematicGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
                 {self.all_input_ports_ticket(), self.all_parameters_ticket()},
             )
 
-        def _construct_copy(self, other: Any, converter: Any = None) -> None:
-            Impl._construct(self, **other._arguments, converter=converter)
+        _construct_copy = ConstructCopy
 
         @property
         def num_agents(self) -> int:
@@ -93,7 +96,7 @@ def KinematicGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
 
         def SetSpeed(self, context: Any, speed: Scalar) -> None:
             """Sets the speed; this system's own Context is wanted."""
-            CheckSpeed(speed)
+            CheckNonNegativeParameter("speed", speed)
             context.get_mutable_numeric_parameter(self.parameter_index).SetAtIndex(0, speed)
 
         def _CalcVelocities(self, context: Any, output: Any) -> None:
@@ -147,8 +150,7 @@ def MakeKinematicDiagram(
     builder.Connect(guidance.GetOutputPort("velocities"), agents.get_input_port())
     builder.ExportOutput(agents.get_output_port(), "positions")
     if log_period is not None:
-        log = LogVectorOutput(agents.get_output_port(), builder, log_period)
-        log.set_name("positions_log")
+        LogVectorOutput(agents.get_output_port(), builder, log_period).set_name("positions_log")
     if lyapunov is not None:
         AddLyapunovMonitor(
             builder,

@@ -1,20 +1,34 @@
-"""A Lyapunov function watched along a simulation: V, its rate, and what is left to a level."""
+"""A Lyapunov function watched along a simulation, which can end where a level is crossed."""
 
 import math
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-import pydrake.autodiffutils
-from pydrake.systems.framework import BasicVector_, DiagramBuilder, LeafSystem_, OutputPort
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import (
+    BasicVector_,
+    Context,
+    DiagramBuilder,
+    EventStatus,
+    LeafSystem_,
+    OutputPort,
+    System,
+)
 from pydrake.systems.primitives import LogVectorOutput
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 from sgvf_drake.arrays import FloatArray
 from sgvf_drake.exceptions import ConfigurationError
-from systems.scalars import SCALARS, CheckFiniteAgents, Scalar, ToList
-
-# Drake's stubs misname the type of every array, so its functions are used untyped.
-_ad: Any = pydrake.autodiffutils
+from systems.scalars import (
+    SCALARS,
+    CheckFiniteAgents,
+    ConstructCopy,
+    Join,
+    Scalar,
+    Split,
+    ToFloat,
+    remembered,
+)
 
 
 class DifferentiableFunction(Protocol):
@@ -76,6 +90,7 @@ def LyapunovMonitor_(T: type) -> Any:  # noqa: D103 (the class below says it)
                 not finite; the message names the agent.
         """
 
+        @remembered
         def _construct(
             self,
             function: DifferentiableFunction,
@@ -94,12 +109,6 @@ def LyapunovMonitor_(T: type) -> Any:  # noqa: D103 (the class below says it)
                     f"state_size must be at least the dimension {dim}, got {state_size}"
                 )
             _CheckLevel(level)
-            self._arguments: dict[str, Any] = {
-                "function": function,
-                "num_agents": num_agents,
-                "level": level,
-                "state_size": state_size,
-            }
             self._function = function
             self._num_agents = num_agents
             self._state = self.DeclareVectorInputPort("state", num_agents * state_size)
@@ -116,8 +125,7 @@ def LyapunovMonitor_(T: type) -> Any:  # noqa: D103 (the class below says it)
                 "margin", num_agents, self._CalcMargin, {state, self.all_parameters_ticket()}
             )
 
-        def _construct_copy(self, other: Any, converter: Any = None) -> None:
-            Impl._construct(self, **other._arguments, converter=converter)
+        _construct_copy = ConstructCopy
 
         @property
         def function(self) -> DifferentiableFunction:
@@ -211,48 +219,131 @@ def AddLyapunovMonitor(
     builder.Connect(velocity_port, monitor.GetInputPort("velocity"))
     if log_period is not None:
         for name in ("V", "V_dot"):
-            log = LogVectorOutput(monitor.GetOutputPort(name), builder, log_period)
-            log.set_name(f"{name}_log")
+            port = monitor.GetOutputPort(name)
+            LogVectorOutput(port, builder, log_period).set_name(f"{name}_log")
     return monitor
 
 
+class SublevelExit(NamedTuple):
+    """Where and when an agent left a sublevel set {V <= level}.
+
+    Attributes:
+        agent: Its number.
+        time: In s, at the end of the first step that ended outside.
+        time_inside: In s, at the beginning of that step: the crossing lies between the two.
+        position: At `time`, (d,) in the unit of length of V.
+        V: At `time`.
+        level: The level that was crossed.
+    """
+
+    agent: int
+    time: float
+    time_inside: float
+    position: FloatArray
+    V: float
+    level: float
+
+    def __str__(self) -> str:
+        return (
+            f"agent {self.agent} left the sublevel set V <= {self.level:.6g} at "
+            f"t = {self.time:.6g} s: V = {self.V:.6g} at {self.position.tolist()}"
+        )
+
+
+class ExitWatch:
+    """What `StopOnExit` gives to a simulator; called with the root Context of each step.
+
+    Attributes:
+        exit: The exit that ended the simulation; None: there was none so far.
+    """
+
+    def __init__(self, monitor: Any) -> None:
+        self.exit: SublevelExit | None = None
+        self._monitor = monitor
+        self._inside = np.zeros(monitor.num_agents, bool)
+        self._level: float | None = None
+        self._time = -np.inf
+
+    def __call__(self, root_context: Context) -> EventStatus | None:
+        """Returns that termination was reached once an agent has left; see `StopOnExit`."""
+        context = self._monitor.GetMyContextFromRoot(root_context)
+        if self.exit is None:
+            self.exit = self._FindExit(context)
+        if self.exit is None:
+            return None
+        return EventStatus.ReachedTermination(self._monitor, str(self.exit))
+
+    def _FindExit(self, context: Context) -> SublevelExit | None:
+        level, time = self._monitor.GetLevel(context), context.get_time()
+        margin = self._monitor.GetOutputPort("margin").Eval(context)
+        inside = margin >= 0.0
+        # An agent has not left a set that was another one before.
+        left = self._inside & ~inside if level == self._level else np.zeros_like(inside)
+        time_inside = self._time
+        self._inside, self._level, self._time = inside, level, time
+        if not left.any():
+            return None
+        agent = int(np.argmin(np.where(left, margin, np.inf)))
+        return SublevelExit(
+            agent,
+            time,
+            time_inside,
+            self._monitor.EvalPositions(context)[agent].copy(),
+            float(self._monitor.GetOutputPort("V").Eval(context)[agent]),
+            level,
+        )
+
+
+def StopOnExit(simulator: Simulator, monitor: System | None = None) -> ExitWatch:
+    """Lets a simulation end when an agent leaves the sublevel set of a `LyapunovMonitor`.
+
+    ``AdvanceTo`` then returns early, with a status whose reason is
+    ``kReachedTerminationCondition`` and whose message says who left, where and when.
+    A trajectory that starts outside has to enter first.  Of several that leave in one step,
+    the one farthest outside is reported.
+
+    Drake calls a simulator's monitor after each step, so the simulation ends within one step
+    of the crossing.  What ended stays ended: every later ``AdvanceTo`` returns after one step.
+    For another run, call this again.
+
+    Args:
+        simulator: Its monitor is set; one that it had is replaced.
+        monitor: The `LyapunovMonitor`; by default the subsystem "lyapunov".
+
+    Returns:
+        The watch, whose `exit` says where and when.
+    """
+    if monitor is None:
+        diagram: Any = simulator.get_system()
+        monitor = diagram.GetSubsystemByName("lyapunov")
+    watch = ExitWatch(monitor)
+    simulator.set_monitor(watch)
+    return watch
+
+
 def _CheckLevel(level: Scalar) -> None:
-    if math.isnan(ToList(np.array([level]))[0]):
+    if math.isnan(ToFloat(level)):
         raise ConfigurationError(f"level must be a number or infinite, got {level}")
 
 
 def _EvalFunction(function: DifferentiableFunction, x: np.ndarray) -> np.ndarray:
-    """Returns V(x) of shape (n,) in the scalar type of x (n, d).
-
-    The function only ever sees floats: the gradient is pushed through by hand.
-    """
+    """Returns V(x) of shape (n,) in the scalar type of x (n, d)."""
     if x.dtype != object:
         return function(x)
-    values, dx = _Split(x)
-    dV = np.einsum("ni,nik->nk", function.gradient(values), dx)
-    return _ad.InitializeAutoDiff(function(values), dV).reshape(-1)
+    values, dx = Split(x)
+    return Join(function(values), np.einsum("ni,nik->nk", function.gradient(values), dx))
 
 
 def _EvalRate(function: DifferentiableFunction, x: np.ndarray, x_dot: np.ndarray) -> np.ndarray:
     """Returns grad V(x) . x_dot of shape (n,) in the scalar type of x and x_dot (n, d).
 
-    As in `_EvalFunction` the function only sees floats; with the Hessian H, the gradient is
-    (H x_dot) . dx + grad V . dx_dot.
+    With the Hessian H of V, its gradient is (H x_dot) . dx + grad V . dx_dot.
     """
     if x.dtype != object:
         return np.asarray((function.gradient(x) * x_dot).sum(axis=1))
     # Together, because one of them may be a constant, whose gradient has another size.
-    (x, x_dot), (dx, dx_dot) = _Split(np.stack((x, x_dot)))
+    (x, x_dot), (dx, dx_dot) = Split(np.stack((x, x_dot)))
     gradient, H = function.gradient_and_hessian(x)
     by_position = np.einsum("nij,nj,nik->nk", H, x_dot, dx)
     by_velocity = np.einsum("ni,nik->nk", gradient, dx_dot)
-    V_dot = (gradient * x_dot).sum(axis=1)
-    return _ad.InitializeAutoDiff(V_dot, by_position + by_velocity).reshape(-1)
-
-
-def _Split(x: np.ndarray) -> tuple[FloatArray, FloatArray]:
-    """Returns the values of an array of AutoDiffXd, and its gradient along a last axis."""
-    column = x.reshape(-1, 1)
-    gradient = _ad.ExtractGradient(column)
-    values = _ad.ExtractValue(column).reshape(x.shape)
-    return values, gradient.reshape(*x.shape, gradient.shape[1])
+    return Join((gradient * x_dot).sum(axis=1), by_position + by_velocity)

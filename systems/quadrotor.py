@@ -10,9 +10,12 @@ from numpy.typing import NDArray
 from pydrake.examples import QuadrotorPlant
 
 from sgvf_drake.exceptions import ConfigurationError
+from systems.scalars import CheckPositiveParameter
 
 STATE_SIZE = 12
-"""QuadrotorPlant's state: p_WB, roll-pitch-yaw, v_WB, rates of roll-pitch-yaw."""
+POSITION, ATTITUDE, VELOCITY, RATES = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
+"""QuadrotorPlant's state: p_WB in m, roll-pitch-yaw in rad, v_WB in m/s, and the rates of
+roll-pitch-yaw in rad/s, which are not the body's angular velocity."""
 
 NUM_PROPELLERS = 4
 
@@ -66,15 +69,9 @@ class QuadrotorParameters:
     gravity: float = 9.81
 
     def __post_init__(self) -> None:
-        for name in (
-            "mass",
-            "arm_length",
-            "thrust_to_weight",
-            "force_constant",
-            "moment_constant",
-            "gravity",
-        ):
-            _RequirePositive(name, getattr(self, name))
+        for name, value in vars(self).items():
+            if name != "inertia":
+                CheckPositiveParameter(name, value)
         if self.thrust_to_weight <= 1.0:
             raise ConfigurationError(
                 f"thrust_to_weight must be greater than 1 to fly, got {self.thrust_to_weight}"
@@ -156,11 +153,7 @@ class QuadrotorParameters:
         """
         I_B: Any = np.diag(self.inertia)  # Drake's stubs misname the type of arrays.
         plant = QuadrotorPlant(
-            self.mass,
-            self.arm_length,
-            I_B,
-            self.force_constant,
-            self.moment_constant,
+            self.mass, self.arm_length, I_B, self.force_constant, self.moment_constant
         )
         if plant.g() != self.gravity:
             raise ConfigurationError(
@@ -169,16 +162,11 @@ class QuadrotorParameters:
         return plant
 
 
-def _RequirePositive(name: str, value: float) -> None:
-    if not (math.isfinite(value) and value > 0.0):
-        raise ConfigurationError(f"{name} must be finite and positive, got {value}")
-
-
 def _RequireInertia(inertia: tuple[float, float, float]) -> None:
     if len(inertia) != 3:
         raise ConfigurationError(f"inertia must have 3 values, got {len(inertia)}")
     for moment in inertia:
-        _RequirePositive("inertia", moment)
+        CheckPositiveParameter("inertia", moment)
     smallest, middle, largest = sorted(inertia)
     if smallest + middle < largest:
         raise ConfigurationError(

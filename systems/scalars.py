@@ -1,12 +1,21 @@
-"""What the systems share to work for float and AutoDiffXd alike."""
+"""What the systems share to work for float, for AutoDiffXd and in compiled code alike.
 
-from collections.abc import Sequence
+A law written with `Sqrt`, `Sin`, `Cos` and `Tanh` on plain scalars has one source for three
+uses: marked with `compilable` it runs as it is on AutoDiffXd, and numba compiles it where
+compiled code calls it.
+"""
+
+from collections.abc import Callable, Sequence
+import functools
+import inspect
 import math
 from typing import Any
 
+from numba.extending import overload, register_jitable
 import numpy as np
 import pydrake.autodiffutils
 from pydrake.autodiffutils import AutoDiffXd
+import pydrake.math
 
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
 from sgvf_drake.fields.base import Field
@@ -19,6 +28,58 @@ _ad: Any = pydrake.autodiffutils
 
 SCALARS = (float, AutoDiffXd)
 """The scalar types of every system here.  A learned field has no symbolic form."""
+
+compilable = register_jitable
+"""Marks a function of scalars and tuples that compiled code may call."""
+
+
+def Sqrt(x: Any) -> Any:
+    """Returns the square root."""
+    return math.sqrt(x) if isinstance(x, float) else pydrake.math.sqrt(x)
+
+
+def Sin(x: Any) -> Any:
+    """Returns the sine of an angle in rad."""
+    return math.sin(x) if isinstance(x, float) else pydrake.math.sin(x)
+
+
+def Cos(x: Any) -> Any:
+    """Returns the cosine of an angle in rad."""
+    return math.cos(x) if isinstance(x, float) else pydrake.math.cos(x)
+
+
+def Tanh(x: Any) -> Any:
+    """Returns the hyperbolic tangent."""
+    return math.tanh(x) if isinstance(x, float) else pydrake.math.tanh(x)
+
+
+# Numba compares the names of the arguments: no annotations here.
+overload(Sqrt)(lambda x: lambda x: math.sqrt(x))
+overload(Sin)(lambda x: lambda x: math.sin(x))
+overload(Cos)(lambda x: lambda x: math.cos(x))
+overload(Tanh)(lambda x: lambda x: math.tanh(x))
+
+
+def remembered(construct: Callable[..., None]) -> Callable[..., None]:
+    """Lets a system remember the arguments of its `_construct`, for `ConstructCopy`."""
+    signature = inspect.signature(construct)
+
+    @functools.wraps(construct)
+    def construct_and_remember(self: Any, *args: Any, **kwargs: Any) -> None:
+        construct(self, *args, **kwargs)
+        arguments = signature.bind(self, *args, **kwargs).arguments
+        self._arguments = {
+            name: value
+            for name, value in arguments.items()
+            if name not in ("self", "converter")
+        }
+
+    return construct_and_remember
+
+
+def ConstructCopy(self: Any, other: Any, converter: Any = None) -> None:
+    """Constructs a system as another one of its template was, for Drake's scalar conversion."""
+    type(self)._construct(self, **other._arguments, converter=converter)
 
 
 def ToFloat(value: Scalar) -> float:
@@ -40,41 +101,43 @@ def ToVector(T: type, values: Sequence[Scalar]) -> np.ndarray:
     return np.array([v if isinstance(v, AutoDiffXd) else AutoDiffXd(v) for v in values])
 
 
-def EvalFieldValue(field: Field, x: np.ndarray) -> np.ndarray:
-    """Returns m(x) of x's own shape, (d,) or (n, d), and scalar type.
+def Split(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the values of an array of AutoDiffXd, and its gradient along a last axis.
 
-    The field only ever sees floats: the gradient is pushed through by hand with the
-    field's own Jacobian, dm = J dx.  Running a network on objects takes 1,000 times longer.
+    What only ever sees floats, as a network does, gets the values, and its derivatives push
+    the gradient through by hand.  Running a network on objects takes 1,000 times longer.
     """
+    column = x.reshape(-1, 1)
+    gradient = _ad.ExtractGradient(column)
+    values = _ad.ExtractValue(column).reshape(x.shape)
+    return values, gradient.reshape(*x.shape, gradient.shape[1])
+
+
+def Join(values: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+    """Returns the array of AutoDiffXd that `Split` would take apart into these."""
+    flat = gradient.reshape(values.size, -1) if gradient.size else np.zeros((values.size, 0))
+    return _ad.InitializeAutoDiff(values.reshape(-1), flat).reshape(values.shape)
+
+
+def EvalFieldValue(field: Field, x: np.ndarray) -> np.ndarray:
+    """Returns m(x) of x's own shape, (d,) or (n, d), and scalar type; dm = J dx."""
     if x.dtype != object:
         return field(x)
-    m, J = field.value_and_jacobian(_Values(x))
-    dx = _ad.ExtractGradient(x.reshape(-1, 1))
-    dm = J @ dx.reshape(*x.shape, dx.shape[1])
-    return _ad.InitializeAutoDiff(m.reshape(-1), dm.reshape(m.size, -1)).reshape(x.shape)
+    values, dx = Split(x)
+    m, J = field.value_and_jacobian(values)
+    return Join(m, J @ dx)
 
 
 def EvalField(field: Field, x: np.ndarray) -> np.ndarray:
-    """Returns m(x) and J(x) by rows, flattened to (d + d^2,), in the scalar type of x (d,).
-
-    As in `EvalFieldValue` the field only sees floats; dm = J dx and dJ = H dx.
-    """
+    """Returns m(x) and J(x) by rows, (d + d^2,), in the scalar type of x (d,); dJ = H dx."""
     if x.dtype != object:
         m, J = field.value_and_jacobian(x)
         return np.concatenate((m, J.ravel()))
-    values = _Values(x)
+    values, dx = Split(x)
     m, J = field.value_and_jacobian(values)
-    dx = _ad.ExtractGradient(x.reshape(-1, 1))
     # A gradient of size zero is a constant: it needs no Hessian.
-    dJ = field.hessian(values) @ dx if dx.size else np.zeros((J.size, 0))
-    gradient = np.concatenate((J @ dx, dJ.reshape(J.size, -1)))
-    return _ad.InitializeAutoDiff(np.concatenate((m, J.ravel())), gradient)[:, 0]
-
-
-def CheckSpeed(speed: Scalar) -> None:
-    """Raises ConfigurationError unless the speed in m/s is finite and not negative."""
-    if not (math.isfinite(ToFloat(speed)) and speed >= 0.0):
-        raise ConfigurationError(f"speed must be finite and not negative, got {speed}")
+    dJ = field.hessian(values) @ dx if dx.size else np.zeros((*J.shape, 0))
+    return np.concatenate((Join(m, J @ dx), Join(J, dJ).ravel()))
 
 
 def CheckFiniteParameter(name: str, value: Scalar) -> None:
@@ -87,6 +150,12 @@ def CheckPositiveParameter(name: str, value: Scalar) -> None:
     """Raises ConfigurationError unless the parameter is finite and positive."""
     if not (math.isfinite(ToFloat(value)) and value > 0.0):
         raise ConfigurationError(f"{name} must be finite and positive, got {value}")
+
+
+def CheckNonNegativeParameter(name: str, value: Scalar) -> None:
+    """Raises ConfigurationError unless the parameter is finite and not negative."""
+    if not (math.isfinite(ToFloat(value)) and value >= 0.0):
+        raise ConfigurationError(f"{name} must be finite and not negative, got {value}")
 
 
 def CheckConstant(name: str, value: Scalar) -> float:
@@ -137,7 +206,3 @@ def CheckFiniteAgents(system: Any, context: Any, quantity: str, values: np.ndarr
         return
     agent = int(np.flatnonzero(~np.isfinite(floats).all(axis=1))[0])
     CheckFinite(system, context, f"{quantity} of agent {agent}", floats[agent].tolist())
-
-
-def _Values(x: np.ndarray) -> np.ndarray:
-    return _ad.ExtractValue(x.reshape(-1, 1)).reshape(x.shape)

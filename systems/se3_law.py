@@ -1,11 +1,11 @@
-"""The geometric control law on SE(3) of Lee, Leok and McClamroch, on plain scalars.
+"""From a velocity command to propeller forces, on plain scalars: the SE(3) law and the mixing.
 
-Source: T. Lee, M. Leok, N. H. McClamroch, "Geometric tracking control of a quadrotor UAV
-on SE(3)", IEEE Conference on Decision and Control, 2010: its attitude error, thrust and torque,
-for a commanded velocity and acceleration in place of a trajectory.
+Source of the law: T. Lee, M. Leok, N. H. McClamroch, "Geometric tracking control of a quadrotor
+UAV on SE(3)", IEEE Conference on Decision and Control, 2010: its attitude error, thrust and
+torque, for a commanded velocity and acceleration in place of a trajectory.
 
 The functions work on scalars and tuples: AutoDiffXd as they are, floats compiled (see
-`systems.scalar_math`).  Square roots are taken only of values that cannot be zero, where their
+`systems.scalars`).  Square roots are taken only of values that cannot be zero, where their
 derivative would be infinite.
 
 Notation: W is the world frame, z up; B the body frame, D the desired body frame.  A
@@ -13,10 +13,10 @@ rotation is the tuple of its columns, so R_WB = (bx_W, by_W, bz_W).
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from systems.scalar_math import Cos, Sin, Sqrt, compilable
-from systems.scalars import Scalar
+from systems.quadrotor import ATTITUDE, NUM_PROPELLERS, RATES, VELOCITY, Rotors
+from systems.scalars import Cos, Scalar, Sin, Sqrt, compilable
 
 Vector3 = tuple[Scalar, Scalar, Scalar]
 Rotation = tuple[Vector3, Vector3, Vector3]
@@ -81,14 +81,52 @@ class Body(NamedTuple):
 
 
 @compilable
+def CalcPropellerInput(
+    state: Any,
+    velocity_command: Any,
+    acceleration: Any,
+    gains: Any,
+    body: Any,
+    rotors: Rotors,
+    gravity: float,
+    saturate: bool,
+) -> tuple[Scalar, Scalar, Scalar, Scalar]:
+    """Returns the input of QuadrotorPlant, which is not a number where the law has none.
+
+    Args:
+        state: The vehicle's, (12,).
+        velocity_command: In W, (3,) in m/s.
+        acceleration: The feed-forward in W, (3,) in m/s^2.
+        gains: The `Gains`, (4,).
+        body: The `Body`, (4,).
+        rotors: Where the propellers stand, and what they can give.
+        gravity: In m/s^2.
+        saturate: Whether demands and forces are limited to what the vehicle can give.
+    """
+    thrust, torque = CalcThrustAndTorque(
+        state,
+        velocity_command,
+        acceleration,
+        Gains(gains[0], gains[1], gains[2], gains[3]),
+        Body(body[0], body[1], body[2], body[3]),
+        gravity,
+        NUM_PROPELLERS * rotors.max_force,
+        saturate,
+    )
+    a, b, c, d = CalcPropellerForces(rotors, thrust, torque, saturate)
+    # Limits would hide a NaN: the least of a number and a NaN may be the number.
+    nothing = 0.0 * (thrust + torque[0] + torque[1] + torque[2])
+    k = rotors.force_constant
+    return a / k + nothing, b / k + nothing, c / k + nothing, d / k + nothing
+
+
+@compilable
 def CalcThrustAndTorque(
-    body: Body,
+    state: Any,
+    velocity_command: Any,
+    acceleration: Any,
     gains: Gains,
-    rpy: Vector3,
-    v_W: Vector3,
-    rpy_rates: Vector3,
-    velocity_command: Vector3,
-    acceleration_feedforward: Vector3,
+    body: Body,
     gravity: float,
     max_thrust: float,
     saturate: bool,
@@ -99,21 +137,20 @@ def CalcThrustAndTorque(
     attitude at a fixed heading, and the torque tracks that attitude.
 
     Args:
-        body: The mass and inertia that are believed.
+        state: As in `CalcPropellerInput`.
+        velocity_command: v_cmd.
+        acceleration: a_ff.
         gains: The gains.
-        rpy: Roll, pitch and yaw in rad.
-        v_W: The velocity v_WB in W, m/s.
-        rpy_rates: The rates of roll, pitch and yaw in rad/s.
-        velocity_command: v_cmd in W, m/s.
-        acceleration_feedforward: a_ff in W, m/s^2.
+        body: The mass and inertia that are believed.
         gravity: In m/s^2.
         max_thrust: Of all propellers together, in N.
         saturate: Whether the thrust vector and the rates of the desired attitude are limited.
             Without, the law is smooth wherever the thrust vector is not zero.
     """
-    vx, vy, vz = v_W
-    ax, ay, az = acceleration_feedforward
-    ux, uy, uz = velocity_command
+    rpy, rpy_rates = _Vector3(state[ATTITUDE]), _Vector3(state[RATES])
+    vx, vy, vz = v_W = _Vector3(state[VELOCITY])
+    ax, ay, az = a_W = _Vector3(acceleration)
+    ux, uy, uz = _Vector3(velocity_command)
     m, k_v, g = body.mass, gains.velocity_gain, gravity
     F_W = (
         m * (ax + k_v * (ux - vx)),
@@ -122,7 +159,7 @@ def CalcThrustAndTorque(
     )
     if saturate:
         F_W = LimitThrust(m * g, max_thrust, F_W)
-    w_path = CalcTurnRate(v_W, acceleration_feedforward)
+    w_path = CalcTurnRate(v_W, a_W)
     # The demand turns with the path; the error k_v (v_cmd - v) is small or short.
     F_dot_W = Cross(w_path, (m * ax, m * ay, m * az))
     F_ddot_W = Cross(w_path, F_dot_W)
@@ -314,6 +351,61 @@ def CalcAttitude(rpy: Vector3, rpy_rates: Vector3) -> tuple[Rotation, Vector3]:
         cp * cr * yaw_rate - sr * pitch_rate,
     )
     return R_WB, w_WB_B
+
+
+@compilable
+def CalcPropellerForces(
+    rotors: Rotors, thrust: Scalar, torque: Vector3, saturate: bool
+) -> tuple[Scalar, Scalar, Scalar, Scalar]:
+    """Returns the propeller forces in N, each in [0, max_force] if saturated.
+
+    This inverts `QuadrotorParameters.MixingMatrix`.  Where the motors cannot give all
+    that is asked, attitude comes first, since thrust is only useful in the right
+    direction: roll and pitch torque are kept (and scaled together only where they alone
+    exceed the motors), then the thrust is moved as little as needed, and yaw torque gets
+    what is left.
+
+    Args:
+        rotors: Where the propellers stand, and what they can give.
+        thrust: Along B's z axis in N.
+        torque: About B's x, y and z axes in N m.
+        saturate: Whether the forces are limited to what the motors can give.
+    """
+    mean = 0.25 * thrust
+    roll = torque[0] / (2.0 * rotors.arm_length)  # Propellers 1 and 3 differ by it.
+    pitch = torque[1] / (2.0 * rotors.arm_length)  # Propellers 2 and 0 differ by it.
+    yaw = torque[2] / (4.0 * rotors.yaw_arm)  # Raises 0 and 2, lowers 1 and 3.
+    if not saturate:
+        return _Combine(mean, roll, pitch, yaw)
+    f_max = rotors.max_force
+    largest = max(abs(roll), abs(pitch))
+    if largest > 0.5 * f_max:
+        scale = 0.5 * f_max / largest
+        roll, pitch, largest = roll * scale, pitch * scale, 0.5 * f_max
+    mean = min(max(mean, largest), f_max - largest)
+    # Both bounds hold for yaw = 0, so the interval is never empty.
+    yaw = max(yaw, abs(pitch) - mean, mean + abs(roll) - f_max)
+    yaw = min(yaw, f_max - mean - abs(pitch), mean - abs(roll))
+    # Rounding alone can leave the interval, by parts in 1e16.
+    a, b, c, d = _Combine(mean, roll, pitch, yaw)
+    return (
+        min(max(a, 0.0), f_max),
+        min(max(b, 0.0), f_max),
+        min(max(c, 0.0), f_max),
+        min(max(d, 0.0), f_max),
+    )
+
+
+@compilable
+def _Combine(
+    mean: Scalar, roll: Scalar, pitch: Scalar, yaw: Scalar
+) -> tuple[Scalar, Scalar, Scalar, Scalar]:
+    return mean - pitch + yaw, mean + roll - yaw, mean + pitch + yaw, mean - roll - yaw
+
+
+@compilable
+def _Vector3(a: Any) -> Vector3:
+    return a[0], a[1], a[2]
 
 
 @compilable

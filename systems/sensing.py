@@ -1,12 +1,19 @@
-"""How the vehicle's state is measured: ideally, or with noise and delay."""
+"""How the vehicle's state is measured: ideally, or with noise, delay and losses."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 import math
 from typing import Any
 
 import numpy as np
 from pydrake.common import RandomDistribution, RandomGenerator
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPort
+from pydrake.systems.framework import (
+    Context,
+    Diagram,
+    DiagramBuilder,
+    LeafSystem_,
+    OutputPort,
+)
 from pydrake.systems.primitives import (
     Adder,
     Demultiplexer,
@@ -16,9 +23,11 @@ from pydrake.systems.primitives import (
     RandomSource,
     ZeroOrderHold,
 )
+from pydrake.systems.scalar_conversion import TemplateSystem
 
 from sgvf_drake.exceptions import ConfigurationError
-from systems.concatenation import Concatenation
+from systems.quadrotor import ATTITUDE, POSITION, RATES, VELOCITY
+from systems.scalars import SCALARS, ConstructCopy, ToFloat, remembered
 from systems.state_estimator import DEFAULT_BANDWIDTH, StateEstimator
 
 DEFAULT_SAMPLE_PERIOD = 0.01
@@ -123,10 +132,15 @@ class MotionCapture(Diagram):
             ("onboard_state", parameters.onboard_period),
         ):
             angles = self._AddHold(
-                builder, attitude, f"{name}_attitude", period, parameters.attitude_noise, 3
+                builder,
+                attitude,
+                f"{name}_attitude",
+                period,
+                parameters.attitude_noise,
+                ATTITUDE,
             )
             turning = self._AddHold(
-                builder, rates, f"{name}_rates", period, parameters.rate_noise, 9
+                builder, rates, f"{name}_rates", period, parameters.rate_noise, RATES
             )
             whole = builder.AddNamedSystem(name, Concatenation([3, 3, 3, 3]))
             for index, port in enumerate((estimate[0], angles, estimate[1], turning)):
@@ -152,7 +166,9 @@ class MotionCapture(Diagram):
         for hold, entries in self._holds:
             hold.SetVectorState(self.GetMutableSubsystemContext(hold, context), state[entries])
         self._estimator.SetEstimate(
-            self.GetMutableSubsystemContext(self._estimator, context), state[:3], state[6:9]
+            self.GetMutableSubsystemContext(self._estimator, context),
+            state[POSITION],
+            state[VELOCITY],
         )
         if self._delay is not None:
             own: Any = self.GetMutableSubsystemContext(self._delay, context)
@@ -160,8 +176,8 @@ class MotionCapture(Diagram):
             # A sample that is due now is still to come.
             to_sample = period * math.ceil(time / period - TIME_TOLERANCE) - time
             steps = np.arange(self._parameters.delay_steps, 0, -1)  # The oldest comes first.
-            positions = state[:3] + np.outer(to_sample - steps * period, state[6:9])
-            own.SetDiscreteState(positions.ravel())
+            ahead = np.outer(to_sample - steps * period, state[VELOCITY])
+            own.SetDiscreteState((state[POSITION] + ahead).ravel())
 
     def SetNoiseSeed(self, context: Context, seed: int) -> None:
         """Sets the seed of the noise, so that a flight repeats exactly.
@@ -204,12 +220,12 @@ class MotionCapture(Diagram):
         name: str,
         period: float,
         noise: float,
-        start: int,
+        entries: slice,
     ) -> OutputPort:
         noisy = _AddNoise(builder, port, name, noise, period)
         hold = builder.AddNamedSystem(name, ZeroOrderHold(period, 3))
         builder.Connect(noisy, hold.get_input_port())
-        self._holds.append((hold, slice(start, start + 3)))
+        self._holds.append((hold, entries))
         return hold.get_output_port()
 
 
@@ -238,6 +254,108 @@ def AddMotionCapture(
     builder.AddNamedSystem(name, hold)
     builder.Connect(state_port, hold.get_input_port())
     return hold
+
+
+@TemplateSystem.define("Dropout_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
+def Dropout_(T: type) -> Any:  # noqa: D103 (the class below says it)
+    class Impl(LeafSystem_[T]):
+        """Loses some entries of a vector for some time: they are NaN then.
+
+        .. pydrake_system::
+
+            name: Dropout
+            input_ports:
+            - input
+            output_ports:
+            - output
+
+        Both are vectors of the same size, and the output is the input but for the lost
+        entries.  It belongs before what samples: its output depends on the time.
+
+        Args:
+            size: Of the vector.
+            intervals: When entries are lost: pairs of begin and end in s, the end excluded.
+            entries: Which entries are lost: their indices.
+
+        Raises:
+            ConfigurationError: if an argument cannot be used.
+        """
+
+        @remembered
+        def _construct(
+            self,
+            size: int,
+            intervals: Sequence[tuple[float, float]],
+            entries: Sequence[int],
+            converter: Any = None,
+        ) -> None:
+            LeafSystem_[T].__init__(self, converter=converter)
+            for begin, end in intervals:
+                if not begin < end:
+                    raise ConfigurationError(f"an interval cannot be from {begin} to {end} s")
+            for entry in entries:
+                if not 0 <= entry < size:
+                    raise ConfigurationError(f"there is no entry {entry} of {size}")
+            self._intervals, self._entries = tuple(intervals), list(entries)
+            self._input = self.DeclareVectorInputPort("input", size)
+            self.DeclareVectorOutputPort("output", size, self._CalcOutput)
+
+        _construct_copy = ConstructCopy
+
+        def _CalcOutput(self, context: Any, output: Any) -> None:
+            values = self._input.Eval(context).copy()
+            time = ToFloat(context.get_time())
+            if any(begin <= time < end for begin, end in self._intervals):
+                values[self._entries] = T(math.nan)
+            output.SetFromVector(values)
+
+    return Impl
+
+
+Dropout = Dropout_[None]
+
+
+@TemplateSystem.define("Concatenation_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
+def Concatenation_(T: type) -> Any:  # noqa: D103 (the class below says it)
+    class Impl(LeafSystem_[T]):
+        """Puts its input vectors one after the other.
+
+        .. pydrake_system::
+
+            name: Concatenation
+            input_ports:
+            - u0
+            - u(n-1)
+            output_ports:
+            - output
+
+        It does what Drake's Multiplexer does, whose output counts as dependent on the time:
+        behind one, everything is evaluated anew in every stage of the integrator, even
+        where the inputs are held between samples.
+
+        Args:
+            sizes: Of the inputs.
+        """
+
+        @remembered
+        def _construct(self, sizes: Sequence[int], converter: Any = None) -> None:
+            LeafSystem_[T].__init__(self, converter=converter)
+            self._inputs = [
+                self.DeclareVectorInputPort(f"u{k}", size) for k, size in enumerate(sizes)
+            ]
+            self.DeclareVectorOutputPort(
+                "output", sum(sizes), self._CalcOutput, {self.all_input_ports_ticket()}
+            )
+
+        _construct_copy = ConstructCopy
+
+        def _CalcOutput(self, context: Any, output: Any) -> None:
+            output.SetFromVector(np.concatenate([port.Eval(context) for port in self._inputs]))
+
+    return Impl
+
+
+Concatenation = Concatenation_[None]
 
 
 def _AddNoise(

@@ -7,15 +7,17 @@ import numpy as np
 from pydrake.systems.framework import BasicVector_, LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
-from sgvf_drake.exceptions import ConfigurationError
 from systems.scalars import (
     SCALARS,
     CheckFinite,
+    CheckNonNegativeParameter,
     CheckPositiveParameter,
+    ConstructCopy,
     Scalar,
     ToFloat,
     ToList,
     ToVector,
+    remembered,
 )
 
 DEFAULT_BANDWIDTH = 25.0
@@ -79,6 +81,7 @@ def StateEstimator_(T: type) -> Any:  # noqa: D103 (the class below says it)
             NonFiniteValueError: at a sample, where the acceleration is not finite.
         """
 
+        @remembered
         def _construct(
             self,
             period: float,
@@ -88,13 +91,8 @@ def StateEstimator_(T: type) -> Any:  # noqa: D103 (the class below says it)
         ) -> None:
             LeafSystem_[T].__init__(self, converter=converter)
             CheckPositiveParameter("period", period)
-            _CheckDelay(delay)
+            CheckNonNegativeParameter("delay", delay)
             CheckPositiveParameter("bandwidth", bandwidth)
-            self._arguments: dict[str, Any] = {
-                "period": period,
-                "delay": delay,
-                "bandwidth": bandwidth,
-            }
             self._period = period
             self._measured = self.DeclareVectorInputPort("measured_position", 3)
             self._acceleration = self.DeclareVectorInputPort("acceleration", 3)
@@ -114,8 +112,7 @@ def StateEstimator_(T: type) -> Any:  # noqa: D103 (the class below says it)
             ):
                 self.DeclareVectorOutputPort(name, size, calc, sources)
 
-        def _construct_copy(self, other: Any, converter: Any = None) -> None:
-            Impl._construct(self, **other._arguments, converter=converter)
+        _construct_copy = ConstructCopy
 
         def GetBandwidth(self, context: Any) -> Scalar:
             """Returns the bandwidth in rad/s."""
@@ -132,7 +129,7 @@ def StateEstimator_(T: type) -> Any:  # noqa: D103 (the class below says it)
 
         def SetDelay(self, context: Any, delay: Scalar) -> None:
             """Sets the delay in s; this system's own Context is wanted."""
-            _CheckDelay(delay)
+            CheckNonNegativeParameter("delay", delay)
             context.get_mutable_numeric_parameter(self.parameter_index).SetAtIndex(1, delay)
 
         def SetEstimate(self, context: Any, position: Any, velocity: Any) -> None:
@@ -204,8 +201,3 @@ def StateEstimator_(T: type) -> Any:  # noqa: D103 (the class below says it)
 
 
 StateEstimator = StateEstimator_[None]
-
-
-def _CheckDelay(delay: Scalar) -> None:
-    if not (math.isfinite(ToFloat(delay)) and delay >= 0.0):
-        raise ConfigurationError(f"delay must be finite and not negative, got {delay}")

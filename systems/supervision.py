@@ -1,16 +1,40 @@
-"""The rules of a branch supervisor: how each sample changes its mode and its reference."""
+"""The rules of a branch supervisor: what it sees and remembers, decides and commands."""
 
-from collections.abc import Sequence
-from functools import lru_cache
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cached_property, lru_cache
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from sgvf_drake.arrays import FloatArray
 from sgvf_drake.fields.base import Field
-from systems.branches import Branch, DepartureDelay, SpeedLimits
-from systems.supervisor_memory import HOLD_POSITION, ON_TOUR, Memory, Mode, Seen, Settings
-from systems.transfer import Motion, PlanStop, PlanTransfer, Transfer
+from systems.branches import (
+    NUM_CONTROL_POINTS,
+    Branch,
+    DepartureDelay,
+    Motion,
+    PlanStop,
+    PlanTransfer,
+    SpeedLimits,
+    Transfer,
+)
+from systems.quadrotor import POSITION, VELOCITY
+from systems.scalars import Scalar, Sqrt, ToFloat
+
+ON_TOUR = -2
+"""The wanted branch: the one that the tour says."""
+
+HOLD_POSITION = -1
+"""The wanted branch: none, stop here."""
+
+POSITION_GAIN = 2.0
+"""From position error to velocity, 1/s, while a reference is flown; see `ALTITUDE_GAIN`."""
+
+MAX_CORRECTION = 1.0
+"""m/s; the greatest velocity for the sake of a position error."""
 
 MAX_LIMITS = 32
 """Branches times speeds whose limits are kept."""
@@ -53,10 +77,91 @@ LANDING_GAIN = 1.0
 """1/s, from height to rate of descent near the ground."""
 
 
+class Mode(IntEnum):
+    """What a supervisor does."""
+
+    FOLLOW = 0
+    TRANSFER = 1
+    HOLD = 2
+    LAND = 3
+
+
+class Settings(NamedTuple):
+    """What a user may change in flight."""
+
+    branch: float  # Number of the wanted branch, or `HOLD_POSITION`, or `ON_TOUR`.
+    laps: float  # To be flown on each branch of the tour.
+    hold_after: float  # Age of a measurement in s beyond which the vehicle stops.
+    land_after: float  # Age of a measurement in s beyond which it lands.
+
+
+class Seen(NamedTuple):
+    """The inputs at one sample, in the units of the ports."""
+
+    time: float  # In s.
+    position: FloatArray  # p_WB, (3,).
+    velocity: FloatArray  # v_WB, (3,).
+    velocity_command: FloatArray  # Of guidance, (3,).
+    acceleration_feedforward: FloatArray  # Of guidance, (3,).
+    speed: float  # Commanded.
+    age: float  # Of the measurement.
+
+
+_REFERENCE, _PLACES, _CONTROL_POINTS = slice(4, 13), slice(13, 21), slice(21, None)
+"""Where the reference, what stands between, and the control points are in the vector."""
+
+MODE, BRANCH = 0, _PLACES.start
+"""Where the mode and the branch are in the vector."""
+
+
+@dataclass
+class Memory:
+    """What a supervisor remembers from one sample to the next, and as which vector."""
+
+    mode: float  # A `Mode`.
+    weight: float  # Of guidance in the outputs, in [0, 1]; the rest is the reference's.
+    scale: float  # On the speed of guidance, in (0, 1].
+    scale_rate: float  # Its rate in 1/s.
+    position: FloatArray  # Of the reference (3,) in m.
+    velocity: FloatArray  # Of the reference (3,) in m/s.
+    acceleration: FloatArray  # Of the reference (3,) in m/s^2.
+    branch: float  # Number of the branch that is followed or flown to.
+    stop: float  # Place in the tour.
+    flown: float  # Distance in m along the branch.
+    target: float  # Branch that a departure is planned to; `ON_TOUR`: none.
+    departure: float  # Time in s of that departure.
+    start: float  # Time in s at which the planned motion started.
+    duration: float  # Of the planned motion in s.
+    speed: float  # The commanded speed at the last sample in m/s, -1 before the first.
+    control_points: FloatArray  # Of the planned motion, (6, d) in m.
+
+    @classmethod
+    def AtStart(cls, branch: int, dim: int) -> "Memory":
+        """Returns the memory of a supervisor that has not seen anything."""
+        start = cls.FromVector(np.zeros(_CONTROL_POINTS.start + NUM_CONTROL_POINTS * dim))
+        start.weight, start.scale, start.duration = 1.0, 1.0, 1.0
+        start.branch, start.target, start.speed = float(branch), float(ON_TOUR), -1.0
+        return start
+
+    @classmethod
+    def FromVector(cls, values: FloatArray) -> "Memory":
+        """Reads what `ToVector` has written."""
+        reference = values[_REFERENCE].reshape(3, 3).copy()
+        points = values[_CONTROL_POINTS].reshape(NUM_CONTROL_POINTS, -1).copy()
+        before, places = values[: _REFERENCE.start].tolist(), values[_PLACES].tolist()
+        attributes: list[Any] = [*before, *reference, *places, points]
+        return cls(*attributes)
+
+    def ToVector(self) -> FloatArray:
+        """Returns all of it, in the order of the attributes, as one vector."""
+        return np.concatenate([np.ravel(value) for value in vars(self).values()])
+
+
+@dataclass(frozen=True)
 class Supervision:
     """The rules by which a supervisor changes its memory at each sample.
 
-    Args:
+    Attributes:
         field: The guiding field, in metres.
         branches: The branches of its path.
         tour: Numbers of the branches in the order in which they are flown.
@@ -66,26 +171,27 @@ class Supervision:
         period: Of the samples in s.
     """
 
-    def __init__(
-        self,
-        field: Field,
-        branches: Sequence[Branch],
-        tour: Sequence[int],
-        max_acceleration: float,
-        box: tuple[FloatArray, FloatArray] | None,
-        landing_height: float,
-        period: float,
-    ) -> None:
-        self._field, self._branches, self._tour = field, tuple(branches), tuple(tour)
-        self._max_acceleration, self._box = max_acceleration, box
-        self._landing_height, self._period = landing_height, period
-        self._dim = field.dim
+    field: Field
+    branches: Sequence[Branch]
+    tour: Sequence[int]
+    max_acceleration: float
+    box: tuple[FloatArray, FloatArray] | None
+    landing_height: float
+    period: float
+
+    @property
+    def _dim(self) -> int:
+        return self.field.dim
+
+    @cached_property
+    def _Limits(self) -> Callable[[int, float], FloatArray]:
+        """The speeds (n,) in m/s at which each waypoint of a branch can be passed."""
 
         @lru_cache(MAX_LIMITS)
         def limits(branch: int, speed: float) -> FloatArray:
-            return SpeedLimits(field, self._branches[branch], speed, max_acceleration)
+            return SpeedLimits(self.field, self.branches[branch], speed, self.max_acceleration)
 
-        self._Limits = limits
+        return limits
 
     def Step(self, settings: Settings, seen: Seen, memory: Memory) -> None:
         """Changes the memory at a sample: first the mode, then the reference."""
@@ -148,13 +254,13 @@ class Supervision:
     def _Wanted(self, settings: Settings, memory: Memory) -> int:
         """Returns the number of the wanted branch, or `HOLD_POSITION`."""
         if settings.branch == ON_TOUR:
-            return self._tour[int(memory.stop)]
+            return self.tour[int(memory.stop)]
         return int(settings.branch)
 
     def _AdvanceTour(self, settings: Settings, seen: Seen, memory: Memory) -> None:
-        if settings.branch != ON_TOUR or memory.stop >= len(self._tour) - 1:
+        if settings.branch != ON_TOUR or memory.stop >= len(self.tour) - 1:
             return
-        if memory.branch != self._tour[int(memory.stop)]:
+        if memory.branch != self.tour[int(memory.stop)]:
             return  # Still on the way back from a branch that was wanted by command.
         branch = self._Branch(memory)
         asked = math.hypot(*seen.velocity_command[: self._dim])
@@ -168,36 +274,36 @@ class Supervision:
         if memory.target != wanted:
             memory.target = wanted
             memory.departure = seen.time + DepartureDelay(
-                self._field,
+                self.field,
                 self._Branch(memory),
-                self._branches[wanted],
+                self.branches[wanted],
                 seen.position[: self._dim],
                 self._SpeedFor(wanted, seen.speed),
-                self._max_acceleration,
+                self.max_acceleration,
             )
         # Half a period: times are sums of periods, and round.
-        return seen.time > memory.departure - 0.5 * self._period
+        return seen.time > memory.departure - 0.5 * self.period
 
     def _IsAstray(self, seen: Seen, memory: Memory, distance: float) -> bool:
         """Whether the field is not to be trusted, or leads to another branch."""
         p = seen.position[: self._dim]
-        if self._box is not None and ((p < self._box[0]) | (p > self._box[1])).any():
+        if self.box is not None and ((p < self.box[0]) | (p > self.box[1])).any():
             return True
         own = self._Branch(memory)
         return distance > ON_BRANCH_SHARE * own.length and any(
             ASTRAY_RATIO * branch.Nearest(p)[1] < distance
-            for branch in self._branches
+            for branch in self.branches
             if branch is not own
         )
 
     def _FlyTo(self, wanted: int, seen: Seen, memory: Memory) -> None:
         is_return = wanted == memory.branch
         speed = self._SpeedFor(wanted, seen.speed)
-        entries = self._branches[wanted].Entries(self._field, speed, anywhere=is_return)
+        entries = self.branches[wanted].Entries(self.field, speed, anywhere=is_return)
         start = self._Motion(seen, memory)
         self._Begin(
             Mode.TRANSFER,
-            PlanTransfer(start, entries, speed, self._max_acceleration),
+            PlanTransfer(start, entries, speed, self.max_acceleration),
             seen,
             memory,
         )
@@ -206,7 +312,7 @@ class Supervision:
             memory.branch, memory.flown = float(wanted), 0.0
 
     def _Stop(self, seen: Seen, memory: Memory) -> None:
-        plan = PlanStop(self._Motion(seen, memory), self._max_acceleration)
+        plan = PlanStop(self._Motion(seen, memory), self.max_acceleration)
         self._Begin(Mode.HOLD, plan, seen, memory)
 
     def _Land(self, seen: Seen, memory: Memory) -> None:
@@ -253,11 +359,11 @@ class Supervision:
 
     def _Descend(self, memory: Memory) -> None:
         """Moves the reference down, faster and faster, then steadily, then slowly to ground."""
-        height = memory.position[2] - self._landing_height
-        faster = memory.velocity[2] - LANDING_ACCELERATION * self._period
+        height = memory.position[2] - self.landing_height
+        faster = memory.velocity[2] - LANDING_ACCELERATION * self.period
         memory.velocity[2] = max(faster, -LANDING_RATE, -LANDING_GAIN * height)
         memory.acceleration[2] = 0.0
-        memory.position[2] += memory.velocity[2] * self._period
+        memory.position[2] += memory.velocity[2] * self.period
 
     def _CountDistance(self, seen: Seen, memory: Memory, distance: float) -> None:
         """Adds what was flown along the field, while the vehicle is on its branch."""
@@ -265,7 +371,7 @@ class Supervision:
             return
         command = seen.velocity_command[: self._dim]
         along = float(command @ seen.velocity[: self._dim])
-        memory.flown += along / max(math.hypot(*command), 1e-9) * self._period
+        memory.flown += along / max(math.hypot(*command), 1e-9) * self.period
 
     def _AdaptScale(self, seen: Seen, memory: Memory, nearest: int) -> None:
         """Moves the speed to what the thrust allows at a waypoint, and slowly up.
@@ -276,14 +382,41 @@ class Supervision:
         if seen.speed == 0.0:
             return
         target = self._Limits(int(memory.branch), seen.speed)[nearest] / seen.speed
-        fastest = self._max_acceleration / seen.speed
+        fastest = self.max_acceleration / seen.speed
         rate = (target - memory.scale) / SCALE_TIME
         memory.scale_rate = float(min(max(rate, -fastest), SPEED_UP_SHARE * fastest))
-        memory.scale += memory.scale_rate * self._period
+        memory.scale += memory.scale_rate * self.period
 
     def _SpeedFor(self, branch: int, speed: float) -> float:
         """Returns the speed in m/s at which all of a branch can be followed."""
         return float(self._Limits(branch, speed).min())
 
     def _Branch(self, memory: Memory) -> Branch:
-        return self._branches[int(memory.branch)]
+        return self.branches[int(memory.branch)]
+
+
+def CalcCommands(
+    memory: np.ndarray, dim: int, state: np.ndarray, guidance: np.ndarray
+) -> list[Scalar]:
+    """Returns the commands (6,): a mean of guidance's and of the reference's.
+
+    Args:
+        memory: `Memory` as a vector.
+        dim: Number of axes, the first ones, that are the supervisor's; all for a landing.
+        state: The vehicle's (12,).
+        guidance: Its velocity command and its feed-forward, (6,).
+    """
+    _, w, scale, scale_rate = memory[: _REFERENCE.start].tolist()
+    p_ref, v_ref, a_ref = memory[_REFERENCE].reshape(3, 3).tolist()
+    position, velocity = state[POSITION].tolist(), state[VELOCITY].tolist()
+    v, a = guidance[:3].tolist(), guidance[3:].tolist()
+    guided = range(3 if ToFloat(memory[MODE]) == Mode.LAND else dim)
+    errors = [p_ref[i] - position[i] for i in guided]
+    stretch = sum((e * e for e in errors), 0.0) * (POSITION_GAIN / MAX_CORRECTION) ** 2
+    gain = POSITION_GAIN / Sqrt(1.0 + stretch)
+    for i in guided:
+        v_flown = v_ref[i] + gain * errors[i]
+        a_flown = a_ref[i] + gain * (v_ref[i] - velocity[i])
+        a[i] = w * (scale * a[i] + scale_rate * v[i]) + (1.0 - w) * a_flown
+        v[i] = w * scale * v[i] + (1.0 - w) * v_flown
+    return [*v, *a]

@@ -18,9 +18,13 @@ from pydrake.geometry import (
 from pydrake.systems.framework import DiagramBuilder, OutputPort
 
 from sgvf_drake.exceptions import ConfigurationError, OutputExistsError
-from systems.flight_trail import AddFlightTrail, FlightTrail
+from systems.moving_scene import (
+    AddFlightTrail,
+    AddQuadrotorGeometry,
+    FlightTrail,
+    QuadrotorGeometry,
+)
 from systems.quadrotor import QuadrotorParameters
-from systems.quadrotor_geometry import AddQuadrotorGeometry, QuadrotorGeometry
 from systems.scalars import CheckFiniteParameter
 from systems.scene_drawing import PlaneBox
 

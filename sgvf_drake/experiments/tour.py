@@ -46,7 +46,7 @@ from systems import (
     SetNoiseSeed,
 )
 from systems.branch_supervisor import ACCELERATION_SHARE
-from systems.supervisor_memory import Memory
+from systems.supervision import Memory
 
 # The flight is looked at so often, to see whether the tour is done, s.
 CHUNK = 0.1

@@ -5,8 +5,11 @@ from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoD
 import pytest
 
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
-from systems import GuidanceSystem
+from sgvf_drake.fields import AdjustableField
+from systems import FieldForSpeed, GuidanceSystem, MakeFlightDiagram, MakeSimulator, SetHover
 from systems.guidance import ALTITUDE_GAIN, MAX_CLIMB_RATE
+
+from .flying import differences
 
 PORTS = ("velocity_command", "acceleration_feedforward")
 
@@ -42,24 +45,28 @@ def evaluate(system, state):
     return [system.GetOutputPort(name).Eval(context) for name in PORTS]
 
 
-def test_planar_field_guides_the_plane_and_holds_the_altitude(circle_field):
+@pytest.mark.parametrize("altitude", [1.2, 0.98, 50.0, -30.0])
+@pytest.mark.parametrize("feedforward", [True, False])
+def test_planar_field_guides_the_plane_and_holds_the_altitude(
+    circle_field, altitude, feedforward
+):
     state = random_states(1)[0]
-    command, acceleration = evaluate(GuidanceSystem(circle_field, 0.7, 1.2), state)
+    calls = circle_field.calls
+    system = GuidanceSystem(circle_field, 0.7, altitude, feedforward)
+    command, acceleration = evaluate(system, state)
+    # Both outputs share one evaluation of the field.
+    assert circle_field.calls == calls + 1
     m, J = circle_field.value_and_jacobian(state[:2])
     np.testing.assert_allclose(command[:2], 0.7 * m, rtol=1e-14)
     assert np.linalg.norm(command[:2]) == pytest.approx(0.7)
-    climb = MAX_CLIMB_RATE * math.tanh(ALTITUDE_GAIN * (1.2 - state[2]) / MAX_CLIMB_RATE)
+    climb = MAX_CLIMB_RATE * math.tanh(ALTITUDE_GAIN * (altitude - state[2]) / MAX_CLIMB_RATE)
     assert command[2] == pytest.approx(climb)
-    np.testing.assert_allclose(acceleration[:2], 0.7 * J @ state[6:8], rtol=1e-14)
     slope = -ALTITUDE_GAIN * (1.0 - (climb / MAX_CLIMB_RATE) ** 2)
-    assert acceleration[2] == pytest.approx(slope * state[8])
-
-
-def test_small_altitude_errors_are_answered_in_proportion(circle_field):
-    state = random_states(1)[0]
-    command, acceleration = evaluate(GuidanceSystem(circle_field, 0.7, state[2] + 1e-4), state)
-    assert command[2] == pytest.approx(ALTITUDE_GAIN * 1e-4)
-    assert acceleration[2] == pytest.approx(-ALTITUDE_GAIN * state[8])
+    expected = feedforward * np.array([*(0.7 * J @ state[6:8]), slope * state[8]])
+    np.testing.assert_allclose(acceleration, expected, rtol=1e-13, atol=1e-15)
+    if abs(altitude) > 10.0:
+        # The climb rate is limited, and its feed-forward with it.
+        assert (abs(command[2]), acceleration[2]) == (MAX_CLIMB_RATE, 0.0)
 
 
 def test_spatial_field_guides_all_three(spatial_circle_field):
@@ -70,14 +77,18 @@ def test_spatial_field_guides_all_three(spatial_circle_field):
     np.testing.assert_allclose(acceleration, 0.7 * J @ state[6:9], rtol=1e-13)
 
 
-@pytest.mark.parametrize(
-    ("altitude", "climb"), [(50.0, MAX_CLIMB_RATE), (-30.0, -MAX_CLIMB_RATE)]
-)
-def test_climb_rate_is_limited_and_its_feedforward_with_it(circle_field, altitude, climb):
-    state = random_states(1)[0]
-    command, acceleration = evaluate(GuidanceSystem(circle_field, 0.45, altitude), state)
-    assert command[2] == climb
-    assert acceleration[2] == 0.0
+@pytest.mark.parametrize("dim", [2, 3])
+def test_gradients_agree_with_differences(circle_field, spatial_circle_field, dim):
+    system = GuidanceSystem(circle_field if dim == 2 else spatial_circle_field)
+    autodiff = system.ToAutoDiffXd()
+    for state in random_states(3, seed=2):
+        column = np.concatenate(evaluate(autodiff, InitializeAutoDiff(state))).reshape(-1, 1)
+        values = np.concatenate(evaluate(system, state))
+        np.testing.assert_allclose(ExtractValue(column).ravel(), values, rtol=1e-14)
+        expected = differences(lambda x: np.concatenate(evaluate(system, x)), state)
+        np.testing.assert_allclose(
+            ExtractGradient(column), expected, atol=1e-5 * np.abs(expected[:3]).max()
+        )
 
 
 def test_feedforward_is_the_rate_of_the_command_along_the_motion(circle_field):
@@ -91,33 +102,6 @@ def test_feedforward_is_the_rate_of_the_command_along_the_motion(circle_field):
         )
 
 
-def test_feedforward_can_be_left_out(circle_field):
-    _, acceleration = evaluate(GuidanceSystem(circle_field, feedforward=False), np.ones(12))
-    np.testing.assert_array_equal(acceleration, 0.0)
-
-
-@pytest.mark.parametrize("dim", [2, 3])
-def test_gradients_agree_with_differences(circle_field, spatial_circle_field, dim):
-    system = GuidanceSystem(circle_field if dim == 2 else spatial_circle_field)
-    autodiff, h = system.ToAutoDiffXd(), 1e-6
-    for state in random_states(6, seed=2):
-        outputs = evaluate(autodiff, InitializeAutoDiff(state))
-        for k, output in enumerate(outputs):
-            expected = np.column_stack(
-                [
-                    (evaluate(system, state + e)[k] - evaluate(system, state - e)[k]) / (2 * h)
-                    for e in h * np.eye(12)
-                ]
-            )
-            gradient = ExtractGradient(output.reshape(-1, 1))
-            np.testing.assert_allclose(
-                ExtractValue(output.reshape(-1, 1)).ravel(),
-                evaluate(system, state)[k],
-                rtol=1e-14,
-            )
-            np.testing.assert_allclose(gradient, expected, atol=1e-5 * np.abs(expected).max())
-
-
 def test_gradient_with_respect_to_the_speed(circle_field):
     system = GuidanceSystem(circle_field)
     autodiff, state = system.ToAutoDiffXd(), random_states(1)[0]
@@ -127,83 +111,6 @@ def test_gradient_with_respect_to_the_speed(circle_field):
     command = autodiff.GetOutputPort("velocity_command").Eval(context)
     gradient = ExtractGradient(command[:2].reshape(-1, 1))
     np.testing.assert_allclose(gradient.ravel(), circle_field(state[:2]), rtol=1e-14)
-
-
-def test_both_outputs_share_one_evaluation_of_the_field(circle_field):
-    system, state = GuidanceSystem(circle_field), random_states(1)[0]
-    before = circle_field.calls
-    evaluate(system, state)
-    assert circle_field.calls == before + 1
-
-
-def test_changed_parameters_take_effect_at_once(circle_field):
-    system = GuidanceSystem(circle_field, speed=0.45, altitude=1.0)
-    context, state = system.CreateDefaultContext(), random_states(1)[0]
-    state[2] = 1.0
-    system.get_input_port().FixValue(context, state)
-    ports = [system.GetOutputPort(name) for name in PORTS]
-    slow = [port.Eval(context).copy() for port in ports]
-    calls = circle_field.calls
-    system.SetSpeed(context, 0.9)
-    system.SetAltitude(context, 1.1)
-    assert (system.GetSpeed(context), system.GetAltitude(context)) == (0.9, 1.1)
-    command, acceleration = (port.Eval(context) for port in ports)
-    np.testing.assert_allclose(command[:2], 2.0 * slow[0][:2])
-    np.testing.assert_allclose(acceleration[:2], 2.0 * slow[1][:2])
-    assert slow[0][2] == 0.0
-    assert command[2] == pytest.approx(math.tanh(0.1 * ALTITUDE_GAIN))
-    assert system.GetOutputPort("speed").Eval(context) == 0.9
-    assert circle_field.calls == calls + 1
-
-
-def test_outputs_follow_the_state(circle_field):
-    system = GuidanceSystem(circle_field)
-    context, states = system.CreateDefaultContext(), random_states(2)
-    for state in states:
-        system.get_input_port().FixValue(context, state)
-        command = system.GetOutputPort("velocity_command").Eval(context)
-        np.testing.assert_allclose(command[:2], 0.45 * circle_field(state[:2]))
-
-
-def test_clone_and_scalar_conversion_keep_the_parameters(circle_field):
-    system = GuidanceSystem(circle_field)
-    context = system.CreateDefaultContext()
-    system.SetSpeed(context, 1.7)
-    assert system.GetSpeed(context.Clone()) == 1.7
-    autodiff = system.ToAutoDiffXd()
-    converted = autodiff.CreateDefaultContext()
-    converted.SetTimeStateAndParametersFrom(context)
-    assert autodiff.GetSpeed(converted).value() == 1.7
-
-
-def test_scalar_conversion_keeps_the_arguments(circle_field):
-    system = GuidanceSystem(circle_field, 1.7, 2.5, feedforward=False).ToAutoDiffXd()
-    context = system.CreateDefaultContext()
-    assert system.GetSpeed(context).value() == 1.7
-    assert system.GetAltitude(context).value() == 2.5
-    system.get_input_port().FixValue(context, InitializeAutoDiff(random_states(1)[0]))
-    acceleration = system.GetOutputPort("acceleration_feedforward").Eval(context)
-    assert [a.value() for a in acceleration] == [0.0, 0.0, 0.0]
-
-
-@pytest.mark.parametrize("dim", [1, 4])
-def test_other_dimensions_are_refused(dim):
-    with pytest.raises(ConfigurationError, match=f"dimension 2 or 3, got {dim}"):
-        GuidanceSystem(ConstantField(dim))
-
-
-@pytest.mark.parametrize("speed", [-1.0, math.nan, math.inf])
-def test_bad_speed_is_refused(circle_field, speed):
-    with pytest.raises(ConfigurationError, match="speed"):
-        GuidanceSystem(circle_field, speed=speed)
-    system = GuidanceSystem(circle_field)
-    with pytest.raises(ConfigurationError, match="speed"):
-        system.SetSpeed(system.CreateDefaultContext(), speed)
-
-
-def test_bad_altitude_is_refused(circle_field):
-    with pytest.raises(ConfigurationError, match="altitude"):
-        GuidanceSystem(circle_field, altitude=math.nan)
 
 
 @pytest.mark.parametrize("index", [0, 5, 11])
@@ -223,10 +130,144 @@ def test_field_that_is_not_finite_is_named(value):
         evaluate(GuidanceSystem(ConstantField(2, value)), np.zeros(12))
 
 
-def test_a_fixed_field_has_no_approach_length_to_set(circle_field):
+def test_bad_arguments_are_refused(circle_field):
     system = GuidanceSystem(circle_field)
     context = system.CreateDefaultContext()
+    for dim in (1, 4):
+        with pytest.raises(ConfigurationError, match=f"dimension 2 or 3, got {dim}"):
+            GuidanceSystem(ConstantField(dim))
+    for speed in (-1.0, math.nan, math.inf):
+        with pytest.raises(ConfigurationError, match="speed"):
+            GuidanceSystem(circle_field, speed=speed)
+        with pytest.raises(ConfigurationError, match="speed"):
+            system.SetSpeed(context, speed)
+    with pytest.raises(ConfigurationError, match="altitude"):
+        GuidanceSystem(circle_field, altitude=math.nan)
+    # A fixed field has no approach length to set.
     assert system.GetApproachLength(context) == 0.0
     assert system.GetFlownField(context) is circle_field
     with pytest.raises(ConfigurationError, match="approach length"):
         system.SetApproachLength(context, 0.1)
+
+
+# Widening a field to what a vehicle can turn, and why it is done.
+
+RATE = 4.0
+SPEED = 2.0
+
+
+class NarrowCircle:
+    """A field of unit length around the unit circle, with an approach length.
+
+    At a distance r from the path it is n tanh(r / length) + t sech(r / length), with n the
+    direction to the path and t the tangent.
+    """
+
+    dim = 2
+
+    def __init__(self, approach_length):
+        self.approach_length = approach_length
+
+    def with_approach_length(self, length):
+        return NarrowCircle(length)
+
+    def __call__(self, x):
+        return self.value_and_jacobian(x)[0]
+
+    def value_and_jacobian(self, x):
+        radius = np.linalg.norm(x, axis=-1)[..., None]
+        n = x / radius
+        t = np.stack([-n[..., 1], n[..., 0]], axis=-1)
+        z = (1.0 - radius) / self.approach_length
+        tanh, sech = np.tanh(z), 1.0 / np.cosh(z)
+        m = tanh * n + sech * t
+        by_radius = (-(sech**2) * n + sech * tanh * t) / self.approach_length
+        by_angle = (tanh * t - sech * n) / radius
+        J = by_radius[..., :, None] * n[..., None, :] + by_angle[..., :, None] * t[..., None, :]
+        return m, J
+
+    def hessian(self, x):
+        raise NotImplementedError
+
+
+def errors_of_flight(field, widen):
+    """Signed cross-track errors of two laps, flown with the field as it is or widened."""
+    diagram = MakeFlightDiagram(field, speed=SPEED)
+    simulator = MakeSimulator(diagram)
+    context = simulator.get_mutable_context()
+    SetHover(diagram, context, (1.1, 0.0, 1.0))
+    if not widen:
+        guidance = diagram.GetSubsystemByName("guidance")
+        guidance.SetApproachLength(
+            guidance.GetMyMutableContextFromRoot(context), field.approach_length
+        )
+    simulator.AdvanceTo(4 * np.pi / SPEED)
+    state = diagram.GetSubsystemByName("state_log").FindLog(context).data()
+    return np.hypot(state[0], state[1]) - 1.0
+
+
+def test_the_field_of_the_tests_is_what_it_says():
+    field, x = NarrowCircle(0.1), np.array([0.7, 0.6])
+    np.testing.assert_allclose(field.value_and_jacobian(x)[1], differences(field, x), atol=1e-8)
+    assert isinstance(field, AdjustableField)
+
+
+def test_a_narrow_field_is_widened_to_the_rate(circle_field):
+    field = NarrowCircle(0.1)
+    assert not isinstance(circle_field, AdjustableField)
+    assert FieldForSpeed(circle_field, 100.0) is circle_field
+    for speed in (0.1, 0.39, 0.41, 2.0, 10.0):
+        wide = FieldForSpeed(field, speed)
+        assert (wide is field) == (speed < 0.4)
+        assert wide.approach_length == pytest.approx(max(speed / RATE, 0.1))
+    # As a system flies it too.
+    system = GuidanceSystem(field, SPEED)
+    context = system.CreateDefaultContext()
+    for speed, expected in ((SPEED, SPEED / RATE), (3.0, 3.0 / RATE), (0.01, 0.1)):
+        system.SetSpeed(context, speed)
+        assert system.GetFlownField(context).approach_length == pytest.approx(expected)
+    with pytest.raises(ConfigurationError, match="approach_length"):
+        system.SetApproachLength(context, 0.0)
+
+
+def test_a_guiding_field_is_widened_and_its_path_stays(make_field):
+    field = make_field("exact")
+    speed = 8 * RATE * field.approach_length
+    wide = FieldForSpeed(field, speed)
+    assert wide.approach_length == pytest.approx(8 * field.approach_length)
+    x = field.cloud.points[:5] + 0.1
+    np.testing.assert_array_equal(wide.score(x), field.score(x))
+    np.testing.assert_array_equal(wide.tangent(x), field.tangent(x))
+    assert np.abs(wide(x) - field(x)).max() > 0.1
+
+
+def test_without_widening_a_flight_oscillates_across_the_path():
+    field = NarrowCircle(0.03)
+    second_lap = slice(int(2 * np.pi / SPEED / 0.01), None)
+    wide = errors_of_flight(field, widen=True)[second_lap]
+    narrow = errors_of_flight(field, widen=False)[second_lap]
+    crossings = np.count_nonzero(np.diff(np.sign(narrow)))
+    assert np.sqrt(np.mean(wide**2)) < 0.002
+    assert np.sqrt(np.mean(narrow**2)) > 0.01
+    assert crossings >= 6
+
+
+@pytest.mark.parametrize("factor", [1e-3, 1e3])
+def test_the_unit_of_length_does_not_matter(make_field, factor):
+    field = make_field("robust")
+    expected = FieldForSpeed(field, 10.0)
+    found = FieldForSpeed(field.rescaled(factor), factor * 10.0)
+    assert expected.approach_length == pytest.approx(2.5)
+    assert found.approach_length == pytest.approx(factor * 2.5)
+    x = field.cloud.points[:5] + 0.1
+    np.testing.assert_allclose(found(factor * x), expected(x), atol=1e-9)
+
+
+def test_there_is_no_derivative_by_the_approach_length():
+    system = GuidanceSystem(NarrowCircle(0.03), SPEED).ToAutoDiffXd()
+    context = system.CreateDefaultContext()
+    system.get_input_port().FixValue(context, np.array([1.1, *np.zeros(11)]))
+    parameters = InitializeAutoDiff(np.array([SPEED, 1.0, 0.5]))[:, 0]
+    context.get_mutable_numeric_parameter(system.parameter_index).SetFromVector(parameters)
+    with pytest.raises(ConfigurationError, match="no derivative by approach_length"):
+        system.GetOutputPort("velocity_command").Eval(context)

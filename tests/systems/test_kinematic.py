@@ -1,7 +1,6 @@
 import math
 
 import numpy as np
-from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 from pydrake.systems.analysis import Simulator
 import pytest
 
@@ -52,34 +51,6 @@ def test_one_call_of_the_field_serves_all_agents(circle_field, starts):
     assert circle_field.calls == calls + 1
 
 
-def test_changed_speed_takes_effect_at_once(circle_field, starts):
-    system = KinematicGuidance(circle_field, num_agents=len(starts))
-    context = system.CreateDefaultContext()
-    system.get_input_port().FixValue(context, starts.ravel())
-    before = system.get_output_port().Eval(context).copy()
-    system.SetSpeed(context, 3.0)
-    assert system.GetSpeed(context) == 3.0
-    np.testing.assert_allclose(system.get_output_port().Eval(context), 3.0 * before)
-
-
-@pytest.mark.parametrize("num_agents", [1, 3])
-def test_gradients_are_the_fields_jacobians(circle_field, starts, num_agents):
-    x = starts[:num_agents]
-    system = KinematicGuidance(circle_field, num_agents, speed=0.5).ToAutoDiffXd()
-    context = system.CreateDefaultContext()
-    system.get_input_port().FixValue(context, InitializeAutoDiff(x.reshape(-1)))
-    gradient = ExtractGradient(system.get_output_port().Eval(context).reshape(-1, 1))
-    expected = np.zeros((2 * num_agents, 2 * num_agents))
-    for k, J in enumerate(circle_field.value_and_jacobian(x)[1]):
-        expected[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = 0.5 * J
-    np.testing.assert_allclose(gradient, expected, rtol=1e-13)
-
-
-def test_diagram_converts(circle_field):
-    diagram = MakeKinematicDiagram(circle_field, 2, log_period=0.1).ToAutoDiffXd()
-    assert diagram.GetSubsystemByName("guidance").num_agents == 2
-
-
 def test_log_holds_the_positions(circle_field):
     diagram = MakeKinematicDiagram(circle_field, 1, log_period=0.5)
     simulator = MakeSimulator(diagram)
@@ -112,20 +83,13 @@ def test_agent_that_meets_nan_is_named_with_the_time():
         simulator.AdvanceTo(2.0)
 
 
-@pytest.mark.parametrize("num_agents", [0, -1])
-def test_bad_number_of_agents_is_refused(circle_field, num_agents):
-    with pytest.raises(ConfigurationError, match="num_agents"):
-        MakeKinematicDiagram(circle_field, num_agents)
-
-
-def test_bad_speed_is_refused(circle_field):
-    with pytest.raises(ConfigurationError, match="speed"):
-        MakeKinematicDiagram(circle_field, speed=-1.0)
-
-
-def test_bad_positions_are_refused(circle_field):
+def test_bad_arguments_and_positions_are_refused(circle_field):
     diagram = MakeKinematicDiagram(circle_field, 3)
     context = diagram.CreateDefaultContext()
+    with pytest.raises(ConfigurationError, match="num_agents"):
+        MakeKinematicDiagram(circle_field, 0)
+    with pytest.raises(ConfigurationError, match="speed"):
+        MakeKinematicDiagram(circle_field, speed=-1.0)
     with pytest.raises(ConfigurationError, match=r"shape \(3, 2\)"):
         SetPositions(diagram, context, np.zeros((2, 3)))
     with pytest.raises(NonFiniteValueError, match="finite"):

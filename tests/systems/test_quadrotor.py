@@ -54,11 +54,6 @@ def test_parameters_survive_the_way_through_a_plant():
     assert QuadrotorParameters.FromPlant(parameters.MakePlant(), 3.0) == parameters
 
 
-def test_drakes_own_default_plant_can_be_read():
-    parameters = QuadrotorParameters.FromPlant(QuadrotorPlant())
-    assert parameters.mass == QuadrotorPlant().m()
-
-
 def test_plant_with_products_of_inertia_is_refused():
     inertia = np.diag([2e-3, 2e-3, 3e-3])
     inertia[0, 1] = inertia[1, 0] = 1e-4

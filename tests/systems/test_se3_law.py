@@ -1,8 +1,8 @@
-"""The scalar law against matrices written from Lee et al. 2010, RotorPy and Drake."""
+"""The law and its mixing against matrices written from Lee et al. 2010, RotorPy and Drake."""
 
 import math
 
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 import numpy as np
 from pydrake.math import RollPitchYaw
@@ -22,12 +22,15 @@ from systems.se3_law import (
     CalcAttitude,
     CalcAttitudeError,
     CalcDesiredAttitude,
+    CalcPropellerForces,
     CalcThrustAndTorque,
     LimitThrust,
 )
 
 PARAMETERS = QuadrotorParameters()
 MAX_THRUST = 4 * PARAMETERS.max_propeller_force
+F_MAX = PARAMETERS.max_propeller_force
+MOST_ROLL = PARAMETERS.arm_length * F_MAX
 E3 = np.array([0.0, 0.0, 1.0])
 
 
@@ -61,11 +64,11 @@ def random_case(seed):
 
 def law(state, velocity_command, acceleration, gains=DEFAULT_GAINS):
     thrust, torque = CalcThrustAndTorque(
-        Body(PARAMETERS.mass, *PARAMETERS.inertia),
-        gains,
-        *(state[k : k + 3].tolist() for k in (3, 6, 9)),
+        state.tolist(),
         velocity_command.tolist(),
         acceleration.tolist(),
+        gains,
+        Body(PARAMETERS.mass, *PARAMETERS.inertia),
         PARAMETERS.gravity,
         MAX_THRUST,
         True,
@@ -111,7 +114,7 @@ def lee(state, velocity_command, acceleration, gains):
     return F @ R @ E3, M
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(10))
 def test_law_agrees_with_lee_et_al(seed):
     case = random_case(seed)
     thrust, torque = law(*case)
@@ -239,3 +242,66 @@ def test_hover_needs_the_weight_and_no_torque():
     thrust, torque = law(np.zeros(12), np.zeros(3), np.zeros(3))
     assert thrust == pytest.approx(PARAMETERS.weight)
     np.testing.assert_array_equal(torque, 0.0)
+
+
+# The mixing.
+
+
+def mix(thrust, torque):
+    forces = np.array(CalcPropellerForces(PARAMETERS.rotors, thrust, tuple(torque), True))
+    return forces, PARAMETERS.MixingMatrix() @ forces
+
+
+def test_what_the_motors_can_give_is_given_exactly():
+    demand = np.array([5.0, 0.02, -0.03, 0.01])
+    forces, given_ = mix(demand[0], demand[1:])
+    assert np.all((forces > 0.0) & (forces < F_MAX))
+    np.testing.assert_allclose(given_, demand, rtol=1e-12)
+
+
+@given(
+    thrust=st.floats(-50.0, 100.0),
+    torque=st.tuples(*[st.floats(-5.0, 5.0)] * 3),
+)
+@example(thrust=0.0, torque=(0.0, 0.0, 1.0))
+@example(thrust=4 * F_MAX, torque=(MOST_ROLL, -MOST_ROLL, 0.0))
+def test_forces_stay_within_what_a_motor_gives(thrust, torque):
+    forces, _ = mix(thrust, torque)
+    assert np.all((forces >= 0.0) & (forces <= F_MAX))
+
+
+@given(
+    thrust=st.floats(-10.0, 4 * F_MAX + 10.0),
+    roll=st.floats(-0.99, 0.99),
+    pitch=st.floats(-0.99, 0.99),
+    yaw=st.floats(-1.0, 1.0),
+)
+def test_roll_and_pitch_torque_are_kept_whatever_else_is_asked(thrust, roll, pitch, yaw):
+    _, given_ = mix(thrust, (roll * MOST_ROLL, pitch * MOST_ROLL, yaw))
+    expected = [roll * MOST_ROLL, pitch * MOST_ROLL]
+    np.testing.assert_allclose(given_[1:3], expected, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("demand", "expected"),
+    [
+        # Thrust gives way to roll torque.
+        ((4.0 * F_MAX, 0.5 * MOST_ROLL, 0.0, 0.0), (3.0 * F_MAX, 0.5 * MOST_ROLL, 0.0, 0.0)),
+        # Too much roll and pitch keep their direction.
+        (
+            (2.0 * F_MAX, 4.0 * MOST_ROLL, -2.0 * MOST_ROLL, 0.0),
+            (2.0 * F_MAX, MOST_ROLL, -0.5 * MOST_ROLL, 0.0),
+        ),
+    ],
+)
+def test_what_cannot_be_given_gives_way(demand, expected):
+    np.testing.assert_allclose(mix(demand[0], demand[1:])[1], expected, rtol=1e-12, atol=1e-12)
+
+
+def test_yaw_torque_alone_gives_way():
+    demand = np.array([5.0, 0.05, -0.04, 10.0])
+    forces, given_ = mix(demand[0], demand[1:])
+    np.testing.assert_allclose(given_[:3], demand[:3], rtol=1e-12)
+    assert 0.0 < given_[3] < demand[3]
+    # Nothing is left over: one propeller is at its limit.
+    assert min(forces.min(), F_MAX - forces.max()) == pytest.approx(0.0, abs=1e-12)

@@ -4,13 +4,16 @@ from dataclasses import replace
 import math
 
 import numpy as np
+from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
 from pydrake.common import RandomGenerator
 from pydrake.polynomial import Polynomial
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import (
     ConstantVectorSource,
     LogVectorOutput,
+    Multiplexer,
+    Multiplexer_,
     PassThrough,
     RandomSource,
     TrajectorySource,
@@ -22,12 +25,13 @@ from scipy.signal import lfilter
 
 from sgvf_drake.exceptions import ConfigurationError
 from systems import AddMotionCapture, Dropout, MotionCapture, SensorParameters
+from systems.quadrotor import ATTITUDE, POSITION, RATES, VELOCITY
+from systems.sensing import Concatenation
 
 NOISELESS = SensorParameters(position_noise=0.0, attitude_noise=0.0, rate_noise=0.0)
 PERIOD, ONBOARD_PERIOD = NOISELESS.sample_period, NOISELESS.onboard_period
 DELAYS = [0.0, 0.01, 0.03]
 STATE = np.concatenate(([1.3, -0.4, 1.1], np.random.default_rng(3).uniform(-1.0, 1.0, 9)))
-POSITION, ATTITUDE, VELOCITY, RATES = (slice(k, k + 3) for k in (0, 3, 6, 9))
 NOISY_ENTRIES = [*range(6), 9, 10, 11]
 
 
@@ -89,7 +93,7 @@ class Setup:
     def log(self, name):
         return self.logs[name].FindLog(self.context).data().T
 
-    def noise(self, seed=None, duration=1.0):
+    def noise(self, seed=None, duration=0.4):
         """Both logs of a new simulation, without what holds at the start."""
         if seed is not None:
             self.capture.SetNoiseSeed(self.own, seed)
@@ -97,7 +101,7 @@ class Setup:
         return self.log("state")[1:], self.log("onboard_state")[1:]
 
 
-def noisy_setup(parameters, seed=None, duration=1.0):
+def noisy_setup(parameters, seed=None, duration=0.4):
     setup = Setup(parameters, ConstantVectorSource(STATE))
     setup.capture.SetVectorState(setup.own, STATE)
     return setup.noise(seed, duration)
@@ -154,39 +158,22 @@ def test_attitude_and_rates_are_sampled_each_at_its_rate():
             np.testing.assert_array_equal(state[part], onboard[part])
 
 
+# 7 PERIOD / PERIOD is a little more than 7.
+@pytest.mark.parametrize("moment", [0.0, 7.0, 7.2, 7.7])
 @pytest.mark.parametrize("delay", DELAYS)
-def test_state_that_is_set_is_the_first_estimate(delay):
-    setup = Setup(replace(NOISELESS, delay=delay), ConstantVectorSource(STATE))
-    setup.capture.SetVectorState(setup.own, STATE)
-    for name in ("state", "onboard_state"):
-        np.testing.assert_allclose(setup.output(name), STATE, atol=1e-15)
-    assert setup.output("measurement_age") == [delay]
-
-
-@pytest.mark.parametrize("delay", DELAYS)
-def test_start_of_a_moving_vehicle_makes_no_transient(delay):
+def test_state_that_is_set_is_the_estimate_and_makes_no_transient(delay, moment):
     motion = polynomial_motion(STATE[POSITION], STATE[VELOCITY])
     setup = Setup(replace(NOISELESS, delay=delay), TrajectorySource(motion))
-    setup.capture.SetVectorState(setup.own, STATE)
-    for k in range(10):
-        estimate = setup.after_sample(k)
-        np.testing.assert_allclose(
-            estimate[POSITION], motion.value(k * PERIOD)[POSITION, 0], atol=1e-12
-        )
-        np.testing.assert_allclose(estimate[VELOCITY], STATE[VELOCITY], atol=1e-11)
-
-
-@pytest.mark.parametrize("share", [0.0, 0.2, 0.7])
-@pytest.mark.parametrize("delay", DELAYS)
-def test_state_that_is_set_between_samples_makes_no_transient(delay, share):
-    motion = polynomial_motion(STATE[POSITION], STATE[VELOCITY])
-    setup = Setup(replace(NOISELESS, delay=delay), TrajectorySource(motion))
-    time = (7 + share) * PERIOD  # 7 PERIOD / PERIOD is a little more than 7.
-    setup.simulator.AdvanceTo(time)
-    state = motion.value(time)[:, 0]
-    state[VELOCITY] = STATE[VELOCITY]
+    time = moment * PERIOD
+    if moment:
+        setup.simulator.AdvanceTo(time)
+    state = STATE.copy()
+    state[POSITION] = motion.value(time)[POSITION, 0]
     setup.capture.SetVectorState(setup.own, state)
-    for k in range(8, 20):
+    for name in ("state", "onboard_state"):
+        np.testing.assert_allclose(setup.output(name), state, atol=1e-15)
+    assert setup.output("measurement_age") == [delay]
+    for k in range(math.ceil(moment), math.ceil(moment) + 12):
         estimate = setup.after_sample(k)
         np.testing.assert_allclose(
             estimate[POSITION], motion.value(k * PERIOD)[POSITION, 0], atol=1e-12
@@ -224,13 +211,12 @@ def test_lost_position_is_bridged_and_ages():
         assert setup.output("measurement_age")[0] == pytest.approx(delay + lost * PERIOD)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_noise_has_the_deviations_of_the_parameters_and_is_independent(seed):
+def test_noise_has_the_deviations_of_the_parameters_and_is_independent():
     # So fast an estimator, and no delay: the estimate is what was measured.
     parameters = SensorParameters(
         delay=0.0, position_noise=2e-3, attitude_noise=3e-3, rate_noise=0.02, bandwidth=1e5
     )
-    state, onboard = noisy_setup(parameters, seed, 20.0)
+    state, onboard = noisy_setup(parameters, 0, 20.0)
     deviations = np.repeat([2e-3, 3e-3, 0.02], 3)
     onboard_parts = (onboard - STATE)[:, [3, 4, 5, 9, 10, 11]] / deviations[3:]
     parts = (state - STATE)[:, NOISY_ENTRIES] / deviations
@@ -249,27 +235,21 @@ def test_noise_has_the_deviations_of_the_parameters_and_is_independent(seed):
     assert np.abs(other).max() < 5.0 / math.sqrt(len(both))
 
 
-def test_same_seed_repeats_exactly_and_another_does_not():
-    first, again, other = (noisy_setup(SensorParameters(), seed) for seed in (1, 1, 2))
-    for one, same, different in zip(first, again, other, strict=True):
-        np.testing.assert_array_equal(one, same)
-        # No value is by chance what it was, once the first sample has arrived.
-        assert np.all(one[20:] != different[20:])
-
-
-def test_seed_does_not_care_what_was_before():
-    fresh = noisy_setup(SensorParameters(), 1)
+def test_seed_repeats_exactly_whatever_was_before_and_another_does_not():
+    fresh, other = noisy_setup(SensorParameters(), 1), noisy_setup(SensorParameters(), 2)
     setup = Setup(SensorParameters(), ConstantVectorSource(STATE))
     setup.noise(7)
-    setup.simulator.get_mutable_context().SetTimeStateAndParametersFrom(
+    setup.context.SetTimeStateAndParametersFrom(
         setup.simulator.get_system().CreateDefaultContext()
     )
     setup.capture.SetVectorState(setup.own, STATE)
     for log in ("state", "onboard_state"):
         setup.logs[log].FindMutableLog(setup.context).Clear()
     setup.simulator.Initialize()
-    for one, same in zip(fresh, setup.noise(1), strict=True):
+    for one, same, different in zip(fresh, setup.noise(1), other, strict=True):
         np.testing.assert_array_equal(one, same)
+        # No value is by chance what it was, once the first sample has arrived.
+        assert np.all(one[20:] != different[20:])
 
 
 def test_random_context_draws_anew():
@@ -300,9 +280,10 @@ def test_noise_of_zero_adds_no_random_systems(zero, sources):
     assert len(found) == sources
 
 
-@pytest.mark.parametrize("parameters", [SensorParameters(), NOISELESS])
-def test_motion_capture_converts_with_its_state(parameters):
+@pytest.mark.parametrize("parameters", [SensorParameters(), replace(NOISELESS, delay=0.0)])
+def test_motion_capture_converts_with_its_state_and_feeds_nothing_through(parameters):
     capture = MotionCapture(parameters)
+    assert not capture.HasAnyDirectFeedthrough()
     context = capture.CreateDefaultContext()
     capture.SetVectorState(context, STATE)
     converted = capture.ToAutoDiffXd()
@@ -313,33 +294,17 @@ def test_motion_capture_converts_with_its_state(parameters):
         np.testing.assert_allclose([v.value() for v in values], STATE, atol=1e-15)
 
 
-def test_nothing_is_a_direct_feed_through():
-    for parameters in (SensorParameters(), replace(NOISELESS, delay=0.0)):
-        assert not MotionCapture(parameters).HasAnyDirectFeedthrough()
+MUST_BE_POSITIVE = ("sample_period", "onboard_period", "bandwidth")
 
 
-@pytest.mark.parametrize("bad", [-0.01, math.nan, math.inf])
 @pytest.mark.parametrize("name", SensorParameters.__dataclass_fields__)
-def test_value_that_cannot_be_is_named(name, bad):
-    with pytest.raises(ConfigurationError, match=rf"^{name} .*{bad}"):
-        SensorParameters(**{name: bad})
-
-
-@pytest.mark.parametrize("name", ["sample_period", "onboard_period", "bandwidth"])
-def test_what_must_be_positive_cannot_be_zero(name):
-    with pytest.raises(ConfigurationError, match=rf"^{name} .*0\.0"):
-        SensorParameters(**{name: 0.0})
-
-
-@pytest.mark.parametrize("delay", [0.005, 0.015, 0.0101])
-def test_delay_must_be_a_multiple_of_the_period(delay):
-    with pytest.raises(ConfigurationError, match=rf"^delay .*multiple.*0\.01 s, got {delay}"):
-        SensorParameters(delay=delay)
-
-
-@pytest.mark.parametrize(("delay", "steps"), [(0.0, 0), (0.01, 1), (0.03, 3), (0.07, 7)])
-def test_delay_in_samples(delay, steps):
-    assert SensorParameters(delay=delay).delay_steps == steps
+def test_value_that_cannot_be_is_named(name):
+    bad = [-0.01, math.nan, math.inf, *([0.0] if name in MUST_BE_POSITIVE else [])]
+    if name == "delay":
+        bad += [0.005, 0.015, 0.0101]  # No multiples of the period.
+    for value in bad:
+        with pytest.raises(ConfigurationError, match=rf"^{name} .*{value}"):
+            SensorParameters(**{name: value})
 
 
 @pytest.mark.parametrize(("period", "kind"), [(0.02, ZeroOrderHold), (0.0, PassThrough)])
@@ -358,3 +323,115 @@ def test_ideal_motion_capture_samples_or_passes(period, kind):
         motion.value(0.04 if period else 0.05)[:, 0],
         atol=1e-14,
     )
+
+
+# What can be lost.
+
+VALUES = np.array([1.0, -2.0, 3.0, 4.0])
+INTERVALS = [(0.25, 0.5), (1.0, 1.5), (1.25, 2.0)]
+ENTRIES = (0, 2)
+
+
+@pytest.mark.parametrize(
+    ("intervals", "entries"), [(INTERVALS, ENTRIES), ([], ENTRIES), (INTERVALS, [])]
+)
+def test_entries_are_lost_from_begin_until_before_the_end(intervals, entries):
+    """In one Context whose time goes on, with the derivatives of what passes."""
+    system = Dropout(4, intervals, entries)
+    converted = system.ToAutoDiffXd()
+    context, differentiated = system.CreateDefaultContext(), converted.CreateDefaultContext()
+    system.get_input_port().FixValue(context, VALUES)
+    converted.get_input_port().FixValue(differentiated, InitializeAutoDiff(VALUES)[:, 0])
+    for time in (0.0, 0.24999, 0.25, 0.49999, 0.5, 0.75, 1.0, 1.3, 1.6, 1.99999, 2.0, 100.0):
+        lost = np.zeros(4, bool)
+        lost[list(entries)] = any(begin <= time < end for begin, end in intervals)
+        expected = np.where(lost, math.nan, VALUES)
+        context.SetTime(time)
+        np.testing.assert_array_equal(system.get_output_port().Eval(context), expected)
+        np.testing.assert_array_equal(system.get_input_port().Eval(context), VALUES)
+        differentiated.SetTime(time)
+        values = converted.get_output_port().Eval(differentiated)
+        np.testing.assert_array_equal(ExtractValue(values)[:, 0], expected)
+        np.testing.assert_array_equal(ExtractGradient(values), np.diag(1.0 - lost))
+
+
+def test_bad_loss_is_named():
+    for begin, end in ((1.0, 1.0), (2.0, 1.0), (math.nan, 1.0), (0.0, math.nan)):
+        with pytest.raises(ConfigurationError, match=f"from {begin} to {end} s"):
+            Dropout(4, [(0.0, 1.0), (begin, end)], ENTRIES)
+    for entry in (-1, 4):
+        with pytest.raises(ConfigurationError, match=f"no entry {entry} of 4"):
+            Dropout(4, INTERVALS, [0, entry])
+
+
+# Concatenation beside Drake's Multiplexer: the same values, evaluated less often.
+
+SIZES = [3, 1, 2]
+
+
+def fix_parts(system, context, values):
+    for index, part in enumerate(np.split(values, np.cumsum(SIZES)[:-1])):
+        system.get_input_port(index).FixValue(context, part)
+
+
+def concatenated(system, values):
+    context = system.CreateDefaultContext()
+    fix_parts(system, context, values)
+    return system.get_output_port().Eval(context)
+
+
+class Counter(LeafSystem):
+    """Counts how often what depends on its input, and on nothing else, is evaluated."""
+
+    def __init__(self, size):
+        super().__init__()
+        self.calls = 0
+        port = self.DeclareVectorInputPort("input", size)
+
+        def calc(context, output):
+            self.calls += 1
+            output.SetFromVector(port.Eval(context))
+
+        self.DeclareVectorOutputPort(
+            "output", size, calc, {self.input_port_ticket(port.get_index())}
+        )
+
+
+def calls_in_three_times(system):
+    """How often what follows a system is evaluated at the start, at other times, anew."""
+    builder = DiagramBuilder()
+    builder.AddSystem(system)
+    counter = builder.AddSystem(Counter(sum(SIZES)))
+    builder.Connect(system.get_output_port(), counter.get_input_port())
+    diagram = builder.Build()
+    context = diagram.CreateDefaultContext()
+    own = system.GetMyMutableContextFromRoot(context)
+    port, found = counter.get_output_port(), []
+    for values in (np.arange(6.0), 1.0 + np.arange(6.0)):
+        fix_parts(system, own, values)
+        for time in (0.0, 0.5, 1.0):
+            context.SetTime(time)
+            result = port.Eval(counter.GetMyContextFromRoot(context))
+            np.testing.assert_array_equal(result, values)
+            found.append(counter.calls)
+    return found
+
+
+def test_values_and_derivatives_are_those_of_the_multiplexer():
+    values = np.random.default_rng(0).standard_normal(6)
+    expected = concatenated(Multiplexer(SIZES), values)
+    np.testing.assert_array_equal(concatenated(Concatenation(SIZES), values), expected)
+    x = InitializeAutoDiff(values)[:, 0]
+    found = concatenated(Concatenation(SIZES).ToAutoDiffXd(), x)
+    expected = concatenated(Multiplexer_[type(x[0])](SIZES), x)
+    np.testing.assert_array_equal(ExtractValue(found), ExtractValue(expected))
+    np.testing.assert_array_equal(ExtractGradient(found), ExtractGradient(expected))
+
+
+def test_it_is_evaluated_only_when_an_input_changes():
+    assert calls_in_three_times(Concatenation(SIZES)) == [1, 1, 1, 2, 2, 2]
+
+
+def test_a_multiplexer_is_evaluated_at_every_time():
+    # The reason for a system of our own: when this fails, Drake's will do.
+    assert calls_in_three_times(Multiplexer(SIZES)) == [1, 2, 3, 4, 5, 6]
