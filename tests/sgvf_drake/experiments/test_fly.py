@@ -19,7 +19,10 @@ VEHICLE = QuadrotorParameters()
 
 
 def test_flights_stay_near_the_circles(flown):
-    for result, speed, rms, largest in ((flown.slow, 0.45, 0.01, 0.03), (flown.fast, 2, 0.02, 1)):
+    for result, speed, rms, largest in (
+        (flown.slow, 0.45, 0.01, 0.03),
+        (flown.fast, 2, 0.02, 1),
+    ):
         summary = result.summary()
         assert 0.0 < summary["cross_track_rms_m"] <= rms
         assert summary["cross_track_rms_m"] <= summary["cross_track_max_m"] <= largest
@@ -33,7 +36,12 @@ def test_the_summary_has_the_worst_of_the_pieces(flown):
     summary = flown.fast.summary()
     pieces = summary["pieces"]
     assert [piece["piece"] for piece in pieces] == [0, 1]
-    for key in ("cross_track_rms_m", "cross_track_max_m", "altitude_rms_m", "motor_force_max_n"):
+    for key in (
+        "cross_track_rms_m",
+        "cross_track_max_m",
+        "altitude_rms_m",
+        "motor_force_max_n",
+    ):
         assert summary[key] == max(piece[key] for piece in pieces), key
     for key in ("laps", "real_time_factor"):
         assert summary[key] == min(piece[key] for piece in pieces), key

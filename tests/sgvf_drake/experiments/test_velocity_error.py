@@ -37,7 +37,9 @@ LEVELS = np.geomspace(0.02, 8.0, 12)
 
 
 def margins_with(e_star, levels=LEVELS):
-    return Margins(levels, np.asarray(e_star), np.zeros((len(levels), 2)), np.zeros(len(levels)))
+    return Margins(
+        levels, np.asarray(e_star), np.zeros((len(levels), 2)), np.zeros(len(levels))
+    )
 
 
 @pytest.fixture(scope="module")
