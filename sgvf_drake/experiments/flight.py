@@ -70,12 +70,12 @@ class FlightSpec:
         parameters: The vehicle; by default the paper's.
         sensors: Noise, delay and rates of the measurements; None: they are ideal.
         seed: Seed of the noise of the sensors.
-        start: Position p_WB of the hover that the flight starts from, m; None: beside the
-            path, see `hover_start`.
-        duration: Time of the flight, s; None: enough for the path.
+        start: Position p_WB (x, y, z) of the hover that the flight starts from, m; None:
+            beside the path, see `hover_start`.
+        duration: Time of the flight, longer than the take-off, s; None: enough for the path.
 
     Raises:
-        ConfigurationError: If the speed, the laps or the altitude cannot be used.
+        ConfigurationError: If the speed, the laps, the altitude or the duration cannot be used.
     """
 
     speed: float = DEFAULT_SPEED
@@ -84,7 +84,7 @@ class FlightSpec:
     parameters: QuadrotorParameters = field(default_factory=QuadrotorParameters)
     sensors: SensorParameters | None = None
     seed: int = 0
-    start: tuple[float, float, float] | None = None
+    start: tuple[float, ...] | None = None
     duration: float | None = None
 
     def __post_init__(self) -> None:
@@ -93,6 +93,11 @@ class FlightSpec:
                 raise ConfigurationError(f"the {name} must be a positive number, not {value}")
         if not (np.isfinite(self.laps) and self.laps >= 1):
             raise ConfigurationError(f"the number of laps must be at least 1, not {self.laps}")
+        if self.duration is not None and not TAKE_OFF_S < self.duration < np.inf:
+            raise ConfigurationError(
+                f"the duration must be longer than {TAKE_OFF_S:g} s, the time for the "
+                f"take-off, not {self.duration}"
+            )
 
     def along(self, field: GuidingField, reference: Reference, piece: int) -> "FlightSpec":
         """Returns the spec with a start beside a piece and time to fly along it.
@@ -102,8 +107,7 @@ class FlightSpec:
         """
         start, duration = self.start, self.duration
         if start is None:
-            x, y, z = hover_start(field, reference, piece, self.altitude).tolist()
-            start = x, y, z
+            start = tuple(hover_start(field, reference, piece, self.altitude).tolist())
         if duration is None:
             length, unit = float(reference.lengths[piece]), field.cloud.unit_length
             if reference.closed[piece]:
@@ -201,53 +205,32 @@ def check_feasibility(
     return Feasibility(speed**2 * float(turning.max()), parameters.max_horizontal_acceleration)
 
 
-@contextmanager
-def lost_control_named(where: str, speed: float, feasibility: Feasibility) -> Iterator[None]:
-    """Makes one clear error of a flight inside that loses control of the vehicle.
-
-    Args:
-        where: What was flown, for the message: "piece 1".
-        speed: The commanded speed, m/s.
-        feasibility: That of the flight.
-
-    Raises:
-        ConfigurationError: In place of what Drake's plant raises then.
-    """
-    try:
-        yield
-    except (RuntimeError, NonFiniteValueError) as error:
-        # How Drake's plant shows that it is out of control: a pitch of 90 degrees.
-        if feasibility.is_feasible and "gimbal-lock" not in str(error):
-            raise
-        raise ConfigurationError(
-            f"the quadrotor lost control on {where} at {speed:g} m/s, where "
-            f"the path demands {feasibility.demand:.1f} m/s^2 and the thrust allows "
-            f"{feasibility.limit:.1f} m/s^2; choose a lower speed"
-        ) from error
-
-
 class SimulatedFlight(NamedTuple):
     """What a simulation of a flight gives.
 
     Attributes:
-        log: One row a sample of 10 ms; see `flight_log`.
+        log: One row a sample of 10 ms: as `flight_log` returns it, and the cross-track error
+            from the reference (m).
         wall_s: Wall time of the simulation, s.
         is_over: Whether the flight was over before its time.
         exit: Where and when the vehicle left the sublevel set that it was to stay in, which
             ended the flight; None: it did not, or there was none.
+        feasibility: The demand of the path at the commanded speed.
     """
 
     log: pd.DataFrame
     wall_s: float
     is_over: bool
     exit: SublevelExit | None
+    feasibility: Feasibility
 
 
 def simulate(
     field: GuidingField,
+    reference: Reference,
     spec: FlightSpec,
+    piece: int,
     *,
-    name: str = "flight",
     supervisor: Any = None,
     is_over: Callable[[Context], bool] | None = None,
     rest: float = 0.0,
@@ -256,27 +239,31 @@ def simulate(
     scene: FlightScene | None = None,
     progress: Progress = no_progress,
 ) -> SimulatedFlight:
-    """Flies from a hover at the start of a spec until its duration has passed.
+    """Flies from a hover beside a piece of a path until the duration of a spec has passed.
 
     Args:
         field: The field, in metres; planar or spatial.
-        spec: The flight, with a start and a duration.
-        name: Names the flight, and the page that the scene leaves.
-        supervisor: Stands between guidance and controller; None: there is none.
+        reference: What the flight is measured against, in metres.
+        spec: The flight; its start and duration are those of `FlightSpec.along` where open.
+        piece: Number of the piece.
+        supervisor: Stands between guidance and controller, for a tour; None: there is none.
         is_over: Tells from the root Context whether the flight is over before its duration
             has passed; asked every 0.1 s.  None: it never is.
         rest: Time for which a flight that is over flies on, s.
         lyapunov: V, in metres, which is logged; None: there is none.
         level: The flight ends when the vehicle leaves {V <= level}, once it has been inside.
-        scene: Shows the flight; None: nothing does.
+        scene: Shows the flight, and records it in a page; None: nothing does.
         progress: Is told how far the simulation is.
 
     Raises:
-        ConfigurationError: If the field is neither planar nor spatial.
+        ConfigurationError: If the field is neither planar nor spatial, or if the vehicle lost
+            control.
         NonFiniteValueError: If a value in the loop became NaN or infinite.
     """
+    spec = spec.along(field, reference, piece)
     assert spec.start is not None
     assert spec.duration is not None
+    feasibility = check_feasibility(field, reference, spec.speed, spec.parameters)
     diagram = MakeFlightDiagram(
         field,
         spec.parameters,
@@ -294,16 +281,39 @@ def simulate(
     SetHover(diagram, context, spec.start)
     SetNoiseSeed(diagram, context, spec.seed)
     watch = None if lyapunov is None else StopOnExit(simulator)
-    over = False
-    with nullcontext() if scene is None else scene.show(simulator, name):
+    over, where, page = False, f"piece {piece + 1}", f"flight_{piece + 1}"
+    if supervisor is not None:
+        where, page = "the tour", "tour"
+    with (
+        _lost_control_named(where, spec.speed, feasibility),
+        nullcontext() if scene is None else scene.show(simulator, page),
+    ):
         begin = time.perf_counter()
         if is_over is None:
             advance(simulator, spec.duration, LOG_PERIOD, "fly", progress)
         else:
             over = _advance_until(simulator, is_over, rest, spec.duration, progress)
         wall_s = time.perf_counter() - begin
+    log = flight_log(diagram, context)
+    log["cross_track_error"] = reference.project(positions_of(log, field.dim)).distance
     left = None if watch is None else watch.exit
-    return SimulatedFlight(flight_log(diagram, context), wall_s, over, left)
+    return SimulatedFlight(log, wall_s, over, left, feasibility)
+
+
+@contextmanager
+def _lost_control_named(where: str, speed: float, feasibility: Feasibility) -> Iterator[None]:
+    """Makes one clear error of a flight inside that loses control of the vehicle."""
+    try:
+        yield
+    except (RuntimeError, NonFiniteValueError) as error:
+        # How Drake's plant shows that it is out of control: a pitch of 90 degrees.
+        if feasibility.is_feasible and "gimbal-lock" not in str(error):
+            raise
+        raise ConfigurationError(
+            f"the quadrotor lost control on {where} at {speed:g} m/s, where "
+            f"the path demands {feasibility.demand:.1f} m/s^2 and the thrust allows "
+            f"{feasibility.limit:.1f} m/s^2; choose a lower speed"
+        ) from error
 
 
 def _advance_until(

@@ -12,9 +12,7 @@ from sgvf_drake.experiments.flight import (
     TAKE_OFF_S,
     Feasibility,
     FlightSpec,
-    check_feasibility,
     flown_pieces,
-    lost_control_named,
     positions_of,
     simulate,
     velocities_of,
@@ -126,25 +124,15 @@ def fly(
     """
     spec = replace(spec or FlightSpec(), **options)
     pieces = flown_pieces(field, reference)
-    feasibility = check_feasibility(field, reference, spec.speed, spec.parameters)
     if scene is not None:
         scene.draw(field, spec.speed, spec.altitude)
     flights = []
     for piece in pieces:
-        with lost_control_named(f"piece {piece + 1}", spec.speed, feasibility):
-            flown = simulate(
-                field,
-                spec.along(field, reference, piece),
-                name=f"flight_{piece + 1}",
-                scene=scene,
-                progress=progress,
-            )
-        log = flown.log
-        log["cross_track_error"] = reference.project(positions_of(log, field.dim)).distance
-        summary = _summary(log, field, reference, piece, spec)
+        flown = simulate(field, reference, spec, piece, scene=scene, progress=progress)
+        summary = _summary(flown.log, field, reference, piece, spec)
         summary["real_time_factor"] = summary["duration_s"] / flown.wall_s
-        flights.append(PieceFlight(piece, log, summary))
-    return FlightResult(flights, feasibility, spec)
+        flights.append(PieceFlight(piece, flown.log, summary))
+    return FlightResult(flights, flown.feasibility, spec)
 
 
 def _summary(

@@ -20,8 +20,6 @@ from sgvf_drake.experiments.flight import (
     FlightSpec,
     check_feasibility,
     flown_pieces,
-    lost_control_named,
-    positions_of,
     simulate,
     velocities_of,
 )
@@ -124,33 +122,33 @@ def fly_tour(
         memory = Memory.FromVector(own.get_discrete_state(0).CopyToVector())
         return memory.stop == len(stops)
 
-    feasibility = check_feasibility(field, reference, spec.speed, spec.parameters)
     flown, unit = [branches[stop] for stop in stops], field.cloud.unit_length
-    limit = spec.duration or _time_limit(flown, spec, feasibility, unit)
     rest = (START_OFFSET + REST_WINDOW) * unit / spec.speed + REST_S
+    if spec.duration is None:
+        feasibility = check_feasibility(field, reference, spec.speed, spec.parameters)
+        spec = replace(spec, duration=_time_limit(flown, spec, feasibility, unit))
     if scene is not None:
         scene.draw(field, spec.speed, spec.altitude)
-    with lost_control_named("the tour", spec.speed, feasibility):
-        simulated = simulate(
-            field,
-            replace(spec.along(field, reference, tour[0]), duration=limit),
-            name="tour",
-            supervisor=supervisor,
-            is_over=is_over,
-            rest=0.0 if flown[-1].closed else rest,
-            scene=scene,
-            progress=progress,
-        )
-    log = simulated.log
-    log["piece"] = np.array(pieces)[log.pop("branch")]
-    log["cross_track_error"] = reference.project(positions_of(log, field.dim)).distance
+    simulated = simulate(
+        field,
+        reference,
+        spec,
+        tour[0],
+        supervisor=supervisor,
+        is_over=is_over,
+        rest=0.0 if flown[-1].closed else rest,
+        scene=scene,
+        progress=progress,
+    )
+    log = simulated.log.rename(columns={"branch": "piece"})
+    log["piece"] = np.array(pieces)[log["piece"]]
     legs, transfers = _legs_and_transfers(log, unit)
     return TourResult(
         log,
         legs,
         transfers,
         simulated.is_over,
-        feasibility,
+        simulated.feasibility,
         spec.parameters,
         float(log["time"].iloc[-1]) / simulated.wall_s,
     )

@@ -19,9 +19,7 @@ from sgvf_drake.experiments.certified import CertifiedField
 from sgvf_drake.experiments.flight import (
     TAKE_OFF_S,
     FlightSpec,
-    check_feasibility,
     flown_pieces,
-    lost_control_named,
     positions_of,
     simulate,
     velocities_of,
@@ -207,17 +205,11 @@ def flight_tracking(
             f"the level must be at least c_in = {c_in:g}, and one of those whose margin is "
             f"known, {lowest:g} to {highest:g}, not {level:g}"
         )
-    feasibility = check_feasibility(field, reference, speed, spec.parameters)
     flights = []
     for piece in flown_pieces(field, reference):
-        with lost_control_named(f"piece {piece + 1}", speed, feasibility):
-            flown = simulate(
-                field,
-                spec.along(field, reference, piece),
-                lyapunov=function,
-                level=level,
-                progress=progress,
-            )
+        flown = simulate(
+            field, reference, spec, piece, lyapunov=function, level=level, progress=progress
+        )
         error = velocity_error(flown.log, FieldForSpeed(field, speed), speed)
         settled = np.logical_or.accumulate(flown.log["V"].to_numpy() <= c_in)
         flights.append(

@@ -80,7 +80,7 @@ def tour_figure(field: Field, cloud: PointCloud, result: TourResult) -> Figure:
     """Returns the same of a tour, with its transfers in another colour (paper, Fig. 3)."""
     log, limit = result.log, result.parameters.max_propeller_force
     figure, axes = _flight_panels(field, cloud, log, limit, zoom=True)
-    flies = (log["mode"] == Mode.TRANSFER).to_numpy()
+    flies = log["mode"] == Mode.TRANSFER
     away = log[["x", "y"]].where(flies)
     axes[0].plot(away["x"], away["y"], color=plotting.ORANGE, linewidth=2.2)
     order = ", ".join(str(leg["piece"] + 1) for leg in result.legs)

@@ -108,27 +108,19 @@ def test_a_flight_leaves_a_page_and_can_be_watched_live(run, inputs, tmp_path, c
 
 BAD = {
     "unknown piece": (("--tour", "1,3"), "no piece 3 to fly (there are 1, 2)"),
-    "piece zero": (("--tour", "0,1"), "no piece 0 to fly (there are 1, 2)"),
     "no list": (("--tour", "1,two"), "--tour 1,two is no list of pieces, as 1,2,1 is"),
-    "empty list": (("--tour", ""), "is no list of pieces"),
-    "no list, live": (("--tour", "1;2", "--meshcat"), "--tour 1;2 is no list of pieces"),
+    "empty list, live": (("--tour", "", "--meshcat"), "is no list of pieces"),
     "half a lap": (("--tour", "1,2", "--laps", 0.5), "laps must be at least 1, not 0.5"),
-    "NaN speed": (("--tour", "1,2", "--speed", "nan"), "speed must be a positive number"),
     "another path": (
         ("--tour", "1", "--reference", "{inputs}/circle.csv"),
         "the waypoints are in 2 pieces, which are not those of the reference",
     ),
     "hidden tube": (("--tube", "{inputs}/verified"), "is shown by --html or --meshcat"),
     "another tube": (
-        ("--html", "--tube", "{inputs}/other"),
-        "other is the verification of another field",
-    ),
-    "no tube": (("--html", "--tube", "{inputs}/no_tube"), "no_tube found no tube"),
-    "no verification": (("--html", "--tube", "{inputs}/none"), "there is no verification in"),
-    "tube of a live view": (
         ("--meshcat", "--tube", "{inputs}/other"),
         "other is the verification of another field",
     ),
+    "no tube": (("--html", "--tube", "{inputs}/no_tube"), "no_tube found no tube"),
 }
 
 
@@ -149,14 +141,12 @@ def test_a_seed_is_not_negative(run, inputs, tmp_path, capsys):
     assert names_in(tmp_path) == []
 
 
-@pytest.mark.parametrize("kept", ["tour.html", "tour.parquet", "summary.json"])
-def test_results_stay_without_overwrite(inputs, toured, tmp_path, refused, kept):
-    out = tmp_path / "out"
-    out.mkdir()
-    shutil.copy(toured / kept, out)
-    before = (out / kept).read_bytes()
-    line = refused("fly", inputs / "field.safetensors", "--tour", "1", "--out", out)
-    assert f"already holds {kept}" in line
-    assert names_in(tmp_path) == ["out"]
-    assert names_in(out) == [kept]
-    assert (out / kept).read_bytes() == before
+def test_results_stay_without_overwrite(inputs, toured, tmp_path, refused):
+    for kept in ("tour.html", "summary.json"):
+        out = tmp_path / kept
+        out.mkdir()
+        shutil.copy(toured / kept, out)
+        line = refused("fly", inputs / "field.safetensors", "--tour", "1", "--out", out)
+        assert f"already holds {kept}" in line
+        assert names_in(out) == [kept]
+        assert (out / kept).read_bytes() == (toured / kept).read_bytes()

@@ -28,6 +28,8 @@ def inputs(tmp_path_factory, ring_networks, make_sequential):
         "score.pth": ring,
         "tangent.pth": {f"net.{key}": tensor for key, tensor in tangent.state_dict().items()},
         "untrained.pth": make_sequential([3, 8, 2]).state_dict(),
+        "spatial_score.pth": make_sequential([4, 8, 3]).state_dict(),
+        "spatial_tangent.pth": make_sequential([3, 8, 3]).state_dict(),
         "wrong_width.pth": {**ring, "hiddens": [64]},
         "mish.pth": {**ring, "activation": "Mish"},
         "nan.pth": {"0.weight": torch.full((2, 3), torch.nan), "0.bias": torch.zeros(2)},
@@ -44,6 +46,7 @@ def inputs(tmp_path_factory, ring_networks, make_sequential):
     angle = 2 * np.pi * np.arange(100) / 100
     points = 3 * np.column_stack([np.cos(angle), np.sin(angle)])
     np.savetxt(folder / "ring.csv", points, delimiter=",", header="x,y", comments="")
+    np.savetxt(folder / "spatial.txt", np.eye(3))
     (folder / "taken").mkdir()
     (folder / "taken" / "field.safetensors").write_text("mine")
     return folder
@@ -113,7 +116,6 @@ def test_results_are_replaced_only_when_asked(command, inputs, tmp_path, refused
     assert json.loads((tmp_path / "summary.json").read_text())["gain"] == 0.4
 
 
-# What `run_import` refuses, and what a file of networks can be, in one line.
 BAD = {
     "missing": (["absent.pth", "tangent.pth"], ["absent.pth: no such file"]),
     "missing tangent": (["score.pth", "absent.pth"], ["absent.pth: no such file"]),
@@ -127,6 +129,20 @@ BAD = {
     "NaN": (["nan.pth", "tangent.pth"], ["nan.pth: 0.weight is not all finite"]),
     "activation": (["mish.pth", "tangent.pth"], ["mish.pth", "'Mish'", "SiLU, Tanh"]),
     "widths": (["wrong_width.pth", "tangent.pth"], ["hiddens is [64]", "[200]"]),
+    "swapped": (["tangent.pth", "score.pth"], ["tangent.pth: a score network", "2 and 2"]),
+    "twice": (["score.pth", "score.pth"], ["score.pth: a tangent network", "3 and 2"]),
+    "unlike": (
+        ["score.pth", "spatial_tangent.pth"],
+        ["tangent network is of 3 dimensions, the score network of 2"],
+    ),
+    "no points": (
+        ["spatial_score.pth", "spatial_tangent.pth"],
+        ["recovered in the plane only", "3 dimensions", "--points"],
+    ),
+    "dimensions": (
+        ["score.pth", "tangent.pth", "--points", "{inputs}/spatial.txt"],
+        ["spatial.txt", "3 coordinates", "score network 2"],
+    ),
     "missing points": (
         ["score.pth", "tangent.pth", "--points", "none.csv"],
         ["none.csv: there is no such file"],
@@ -156,16 +172,6 @@ def test_bad_input(refused, inputs, tmp_path, monkeypatch, arguments, expected):
     for text in expected:
         assert text in line
     # Neither results, nor the trace of a pickle that was executed.
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("missing", ["--score", "--tangent", "--out"])
-def test_what_has_to_be_given(run, missing, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    given = {"--score": "a.pth", "--tangent": "b.pth", "--out": "out"}
-    del given[missing]
-    assert run("import", *(word for pair in given.items() for word in pair)) == 2
-    assert missing in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 

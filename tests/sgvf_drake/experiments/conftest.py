@@ -15,7 +15,7 @@ from sgvf_drake.paths import Piece, PointCloud, ReferencePath, shape_path
 
 # m, m/s
 ARC_RADIUS = 4.0
-ARC_SPEED = 0.5
+ARC_SPEED = 0.3
 
 
 class ConstantField:

@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.experiments import FlightSpec, check_feasibility, choose_reference, fly
+from sgvf_drake.experiments import (
+    FlightSpec,
+    check_feasibility,
+    choose_reference,
+    fly,
+    fly_tour,
+    simulate,
+)
 from sgvf_drake.experiments.flight import flown_pieces, hover_start
 from sgvf_drake.paths import Piece, PointCloud, ReferencePath
 from systems import FieldForSpeed, QuadrotorParameters
@@ -129,22 +136,18 @@ def fail(*_, **__):
     raise RuntimeError("a mistake")
 
 
-@pytest.mark.parametrize(
-    ("simulate", "error", "message"),
-    [
-        (
-            lose_control,
-            ConfigurationError,
-            r"lost control on piece 1 at 3 m/s, .* demands [89]\.\d m/s\^2 .* lower speed",
-        ),
-        (fail, RuntimeError, "a mistake"),
-    ],
-)
-def test_loss_of_control_is_one_clear_error(
-    monkeypatch, flight_field, rings, simulate, error, message
-):
-    monkeypatch.setitem(fly.__globals__, "simulate", simulate)
-    with pytest.raises(error, match=message):
+def test_loss_of_control_is_one_clear_error(monkeypatch, flight_field, rings):
+    places = {"advance": lose_control, "_advance_until": lose_control}
+    for name, stand_in in places.items():
+        monkeypatch.setitem(simulate.__globals__, name, stand_in)
+    told = r"lost control on {} at 3 m/s, .* demands [89]\.\d m/s\^2 .* lower speed"
+    with pytest.raises(ConfigurationError, match=told.format("piece 1")):
+        fly(flight_field, rings, speed=3.0)
+    with pytest.raises(ConfigurationError, match=told.format("the tour")):
+        fly_tour(flight_field, rings, (1,), speed=3.0)
+    # Other errors are not hidden.
+    monkeypatch.setitem(simulate.__globals__, "advance", fail)
+    with pytest.raises(RuntimeError, match="a mistake"):
         fly(flight_field, rings, speed=3.0)
 
 
@@ -242,9 +245,15 @@ def test_the_demand_is_that_of_the_widened_field(flight_field, rings):
 # What cannot be flown.
 
 
-@pytest.mark.parametrize("name", ["speed", "laps", "altitude"])
+@pytest.mark.parametrize("name", ["speed", "laps", "altitude", "duration"])
 def test_bad_values_are_refused(flight_field, rings, name):
-    for value in (math.nan, math.inf, 0.0, -1.0, *([0.5] if name == "laps" else [])):
+    for value in (
+        math.nan,
+        math.inf,
+        0.0,
+        -1.0,
+        *([0.5] if name in ("laps", "duration") else []),
+    ):
         with pytest.raises(ConfigurationError, match=f"{name} must be .* not {value}"):
             fly(flight_field, rings, **{name: value})
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 
-from sgvf_drake import ConfigurationError, FieldFileError, OutputExistsError, PointCloud
+from sgvf_drake import PointCloud
 from sgvf_drake.experiments import choose_reference, fly, follow, open_field
 from sgvf_drake.experiments.importing import run_import
 
@@ -109,51 +109,3 @@ def test_networks_of_space(files, tmp_path):
     assert open_field(tmp_path)(np.zeros(3)).shape == (3,)
     # There is nothing to draw.
     assert {path.name for path in tmp_path.iterdir()} == {"summary.json", "field.safetensors"}
-
-
-@pytest.mark.parametrize(
-    ("names", "options", "error", "match"),
-    [
-        (("absent.pth",), {}, FieldFileError, r"absent\.pth: no such file"),
-        (("tangent.pth",), {}, FieldFileError, r"tangent\.pth: a score network .* not 2 and 2"),
-        (
-            ("score.pth", "score.pth"),
-            {},
-            FieldFileError,
-            r"score\.pth: a tangent network .* not 3 and 2",
-        ),
-        (
-            ("spatial_score.pth", "spatial_tangent.pth"),
-            {},
-            ConfigurationError,
-            "recovered in the plane only, .* of 3 dimensions; give them with --points",
-        ),
-        (
-            ("score.pth", "spatial_tangent.pth"),
-            {},
-            ConfigurationError,
-            "tangent network is of 3 dimensions, the score network of 2",
-        ),
-        (
-            ("score.pth",),
-            {"points": "spatial.txt"},
-            ConfigurationError,
-            r"spatial\.txt: the waypoints have 3 coordinates, the score network 2",
-        ),
-        (("score.pth",), {"gain": -1.0}, ConfigurationError, "k_s .* not -1.0"),
-    ],
-)
-def test_bad_input_leaves_nothing(files, tmp_path, names, options, error, match):
-    with pytest.raises(error, match=match):
-        run(files, tmp_path / "out", *names, **options)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_results_stay(files, tmp_path):
-    (tmp_path / "field.png").write_text("mine")
-    points = {"points": "ring.csv", "columns": "east,north"}
-    with pytest.raises(OutputExistsError, match=r"already holds field\.png"):
-        run(files, tmp_path, **points)
-    assert (tmp_path / "field.png").read_text() == "mine"
-    run(files, tmp_path, overwrite=True, **points)
-    assert (tmp_path / "field.png").read_bytes()[1:4] == b"PNG"

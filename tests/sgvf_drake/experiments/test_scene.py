@@ -51,8 +51,8 @@ def test_what_stands_still_is_drawn(flight_field, meshcat, tube):
 
 def test_every_flight_leaves_its_page(flight_field, rings, meshcat, tmp_path):
     scene = FlightScene(meshcat, tmp_path)
-    fly(flight_field, rings, speed=3.0, duration=0.5, scene=scene)
-    fly_tour(flight_field, rings, (0,), duration=0.5, scene=scene)
+    fly(flight_field, rings, speed=3.0, duration=1.1, scene=scene)
+    fly_tour(flight_field, rings, (0,), duration=1.1, scene=scene)
     pages = sorted(tmp_path.iterdir())
     assert [page.name for page in pages] == ["flight_1.html", "flight_2.html", "tour.html"]
     for page in pages:
@@ -66,7 +66,7 @@ def test_the_page_of_a_flight_holds_the_proved_tube(
     curves = tube_curves(ring_field, tmp_path, 0.1)
     path = ReferencePath((Piece(0.1 * ring_field.cloud.points, closed=True),))
     scene = FlightScene(meshcat, tmp_path, tube=curves)
-    fly(ring_field.rescaled(0.1), path, duration=0.5, scene=scene)
+    fly(ring_field.rescaled(0.1), path, duration=1.1, scene=scene)
     commands = commands_in(tmp_path / "flight_1.html")
     # Its points are told as float32, three to each end of a segment.
     drawn = commands[commands.index(b"/tube") :]

@@ -128,7 +128,7 @@ def test_curves_are_in_metres(monkeypatch, field, verified):
         ({"c_in": "low"}, "holds no results of a verification"),
         ({"unit_length": 0.0}, "holds no results of a verification"),
         ({"sigma": "wide"}, "holds no results of a verification"),
-        ({"sigma": -0.1}, ""),
+        ({"sigma": -0.1}, "sigma"),
         ("{", "cannot read .*summary.json"),
         ("[1, 2]", "holds no results of a verification"),
         ("null", "holds no results of a verification"),
