@@ -7,13 +7,10 @@ a mistyped option answer at once.
 
 # The help lists the commands in this order.
 from sgvf_drake.cli import training  # isort: skip
-from sgvf_drake.cli import importing  # isort: skip
-from sgvf_drake.cli import following  # isort: skip
 from sgvf_drake.cli import flying  # isort: skip
 from sgvf_drake.cli import verifying  # isort: skip
 from sgvf_drake.cli import certifying  # isort: skip
 from sgvf_drake.cli import singularities  # isort: skip
-from sgvf_drake.cli import demonstrating  # isort: skip
 from sgvf_drake.cli import running  # isort: skip
 from sgvf_drake.cli import reproducing  # isort: skip
 from sgvf_drake.cli.application import app, main
@@ -21,10 +18,7 @@ from sgvf_drake.cli.application import app, main
 __all__ = [
     "app",
     "certifying",
-    "demonstrating",
     "flying",
-    "following",
-    "importing",
     "main",
     "reproducing",
     "running",

@@ -1,4 +1,4 @@
-"""The command that flies the quadrotor: fly."""
+"""The commands that try a field out: follow, fly, and demo, which trains one before."""
 
 import logging
 from pathlib import Path
@@ -15,8 +15,38 @@ from sgvf_drake.cli.options import (
     ReferenceFile,
     columns_of,
 )
-from sgvf_drake.cli.tables import print_flight, print_folder, print_tour
+from sgvf_drake.cli.tables import (
+    print_flight,
+    print_folder,
+    print_following,
+    print_tour,
+    print_training,
+)
 from sgvf_drake.exceptions import ConfigurationError
+
+
+@app.command()
+def follow(
+    field: FieldPath,
+    out: Out,
+    starts: Annotated[int, typer.Option(help="Agents, on a grid over the box.")] = 400,
+    reference: ReferenceFile = None,
+    columns: ReferenceColumns = None,
+    duration: Annotated[
+        float | None, typer.Option(help="Seconds at unit speed  \\[default: 1.5 laps + 15 U].")
+    ] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Follow a field with many kinematic agents from a grid of starts."""
+    from sgvf_drake.experiments import choose_reference, open_field, run_follow
+
+    loaded = open_field(field)
+    chosen = choose_reference(loaded, reference, columns_of(columns, reference, "--reference"))
+    options: dict[str, Any] = {"starts": starts, "duration": duration, "overwrite": overwrite}
+    with progress() as report:
+        summary = run_follow(loaded, chosen, out, **options, progress=report)
+    print_following(summary)
+    print_folder(out)
 
 
 @app.command()
@@ -63,6 +93,7 @@ def fly(
     """Fly Drake's quadrotor along every piece of the path, or from piece to piece."""
     from sgvf_drake.experiments import (
         CertifiedField,
+        FlightSpec,
         choose_reference,
         open_field,
         run_fly,
@@ -76,35 +107,33 @@ def fly(
         raise ConfigurationError(
             f"--certificate {certificate} says nothing of a tour: transfers leave the field"
         )
+    spec = FlightSpec(
+        speed=speed,
+        laps=laps if laps is not None else 2.0 if tour is None else 1.0,
+        altitude=altitude,
+        sensors=SensorParameters() if sensors else None,
+        seed=seed,
+    )
     # Drake tells on its own where every Meshcat listens.
     logging.getLogger("drake").setLevel(logging.WARNING)
     loaded = open_field(field)
     path, kind = choose_reference(
         loaded, reference, columns_of(columns, reference, "--reference")
     )
-    options: dict[str, Any] = {
-        "speed": speed,
-        "altitude": altitude,
-        "sensors": SensorParameters() if sensors else None,
-        "seed": seed,
-        "overwrite": overwrite,
-    }
-    if laps is not None:
-        options["laps"] = laps
+    options: dict[str, Any] = {"overwrite": overwrite}
     if certificate is not None:
         options["certified"] = CertifiedField.open(loaded, certificate, speed, scale)
-    options["view"] = _view(loaded, scale, speed, html, meshcat, tube, certificate)
+    if tube is not None and not (html or meshcat):
+        raise ConfigurationError(f"--tube {tube} is shown by --html or --meshcat; give one")
+    if html or meshcat:
+        options["view"] = _view(loaded, scale, speed, html, meshcat, tube or certificate)
     metric, chosen = loaded.rescaled(scale), (scale_reference(path, scale), kind)
     with progress() as report:
-        options["progress"] = report
         if pieces is None:
-            summary = run_fly(metric, chosen, out, **options)
+            summary = run_fly(metric, chosen, out, spec, **options, progress=report)
         else:
-            summary = run_tour(metric, chosen, out, pieces, **options)
-    if pieces is None:
-        print_flight(summary)
-    else:
-        print_tour(summary)
+            summary = run_tour(metric, chosen, out, pieces, spec, **options, progress=report)
+    (print_flight if pieces is None else print_tour)(summary)
     print_folder(out)
 
 
@@ -117,30 +146,29 @@ def _pieces_of(tour: str) -> list[int]:
 
 
 def _view(
-    loaded: Any,
-    scale: float,
-    speed: float,
-    html: bool,
-    meshcat: bool,
-    tube: Path | None,
-    certificate: Path | None,
+    loaded: Any, scale: float, speed: float, html: bool, meshcat: bool, results: Path | None
 ) -> Any:
-    """Returns how the flights are watched, and tells where.
-
-    Where no tube is given, that of a certificate is shown.
-    """
+    """Returns how the flights are watched, with the tube of results, and tells where."""
     from sgvf_drake.experiments import View, tube_curves
     from systems import MakeMeshcat
 
-    if tube is not None and not (html or meshcat):
-        raise ConfigurationError(f"--tube {tube} is shown by --html or --meshcat; give one")
-    results = tube or certificate
-    curves: Any = ()
-    if results is not None and (html or meshcat):
-        curves = tube_curves(loaded, results, scale, speed)
+    curves = () if results is None else tube_curves(loaded, results, scale, speed)
     viewer = MakeMeshcat() if meshcat else None
     if viewer is not None:
         console.print(f"watch it at {viewer.web_url()}", highlight=False)
         if console.is_terminal:
             console.input("press Enter to take off ...")
     return View(html, viewer, curves)
+
+
+@app.command()
+def demo(out: Out = Path("demo"), overwrite: Overwrite = False) -> None:
+    """Train on the paper's concentric rings, follow them, and fly each of them."""
+    from sgvf_drake.experiments import run_demo
+
+    with progress() as report:
+        summary = run_demo(out, overwrite=overwrite, progress=report)
+    print_training(summary["train"])
+    print_following(summary["follow"])
+    print_flight(summary["fly"])
+    print_folder(out)

@@ -1,4 +1,4 @@
-"""The commands that make a field: train and shapes."""
+"""The commands that make a field: train, from a file or one of the shapes, and import."""
 
 from collections.abc import Mapping
 from enum import StrEnum
@@ -10,8 +10,9 @@ import typer
 
 from sgvf_drake.cli.application import app, console, progress
 from sgvf_drake.cli.options import Columns, Out, Overwrite, columns_of
-from sgvf_drake.cli.tables import print_folder, print_training
+from sgvf_drake.cli.tables import print_folder, print_import, print_training
 from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.fields import PAPER_GAIN
 
 # Entries of --direction that leave a piece to the rule.
 RULE_ENTRIES = ("", "-")
@@ -147,6 +148,50 @@ def shapes() -> None:
     from sgvf_drake.paths import SHAPES
 
     console.print("\n".join(SHAPES))
+
+
+@app.command("import")
+def import_(
+    score: Annotated[
+        Path, typer.Option(help="Score network of (x, t): a state dict saved by torch.")
+    ],
+    tangent: Annotated[
+        Path, typer.Option(help="Tangent network of x: a state dict saved by torch.")
+    ],
+    out: Out,
+    points: Annotated[
+        Path | None,
+        typer.Option(
+            help="Waypoints of the training: CSV, text or .npy  \\[default: as the score "
+            "shows them].",
+        ),
+    ] = None,
+    columns: Columns = None,
+    gain: Annotated[
+        float, typer.Option("--k-s", "--gain", help="k_s of the normalised score.")
+    ] = PAPER_GAIN,
+    normalise: Annotated[
+        bool, typer.Option("--normalise", help="Bring the field to length one.")
+    ] = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Make a field of networks that were trained elsewhere."""
+    chosen = columns_of(columns, points, "--points")
+    # Slow to import, so only once the options are read.
+    from sgvf_drake.experiments.importing import run_import
+
+    summary = run_import(
+        score,
+        tangent,
+        out,
+        points=points,
+        columns=chosen,
+        gain=gain,
+        normalise=normalise,
+        overwrite=overwrite,
+    )
+    print_import(summary)
+    print_folder(out)
 
 
 def _directions(text: str | None) -> str | tuple[str | None, ...] | None:

@@ -2,8 +2,6 @@
 
 from sgvf_drake.experiments.certified import CertifiedField, as_flown
 from sgvf_drake.experiments.certify import run_certify
-from sgvf_drake.experiments.demo import run_demo
-from sgvf_drake.experiments.feasibility import check_feasibility
 from sgvf_drake.experiments.figures import (
     log_density_figure,
     singularity_figure,
@@ -12,15 +10,21 @@ from sgvf_drake.experiments.figures import (
     tracking_figure,
     verification_figure,
 )
-from sgvf_drake.experiments.flight_log import flight_log
+from sgvf_drake.experiments.flight import FlightSpec, check_feasibility, flight_log, simulate
 from sgvf_drake.experiments.fly import FlightResult, fly
 from sgvf_drake.experiments.follow import FollowResult, follow
 from sgvf_drake.experiments.importing import run_import
-from sgvf_drake.experiments.margin import FlightMargin, flight_margin
 from sgvf_drake.experiments.reference import choose_reference, scale_reference
 from sgvf_drake.experiments.reproduce import run_reproduce
 from sgvf_drake.experiments.running import run_scenario
-from sgvf_drake.experiments.runs import open_field, run_fly, run_follow, run_tour, run_train
+from sgvf_drake.experiments.runs import (
+    open_field,
+    run_demo,
+    run_fly,
+    run_follow,
+    run_tour,
+    run_train,
+)
 from sgvf_drake.experiments.scenario import (
     Scenario,
     load_scenario,
@@ -30,8 +34,12 @@ from sgvf_drake.experiments.scenario import (
 from sgvf_drake.experiments.scene import FlightScene, View
 from sgvf_drake.experiments.singularities import run_singularities
 from sgvf_drake.experiments.tour import TourResult, fly_tour
-from sgvf_drake.experiments.tracking import flight_tracking
 from sgvf_drake.experiments.tube import tube_curves
+from sgvf_drake.experiments.velocity_error import (
+    FlightMargin,
+    flight_margin,
+    flight_tracking,
+)
 from sgvf_drake.experiments.verify import check_theorem, choose_path, run_verify
 
 __all__ = [
@@ -39,6 +47,7 @@ __all__ = [
     "FlightMargin",
     "FlightResult",
     "FlightScene",
+    "FlightSpec",
     "FollowResult",
     "Scenario",
     "TourResult",
@@ -71,6 +80,7 @@ __all__ = [
     "run_verify",
     "scale_reference",
     "scenario_names",
+    "simulate",
     "singularity_figure",
     "theorem_figure",
     "tour_figure",

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from sgvf_drake.arrays import FloatArray
-from sgvf_drake.certificate import Certificate
+from sgvf_drake.certificate import Certificate, Conditions
 from sgvf_drake.certificate.boxes import Boxes
 from sgvf_drake.certificate.mixture_model import MixtureModel, mixture_of
 from sgvf_drake.exceptions import ConfigurationError
@@ -64,11 +64,16 @@ class CertifiedField:
             f"is flown at {speed:g} m/s"
         )
 
+    @property
+    def conditions(self) -> Conditions:
+        """What is proved of the band of V; a certificate that proves something has them."""
+        assert self.certificate.conditions is not None
+        return self.certificate.conditions
+
     def V(self, x: FloatArray) -> FloatArray:  # noqa: N802
         """Returns V at most, (n,), at points (n, 2) in the unit of the waypoints."""
-        conditions = self.certificate.conditions
-        assert conditions is not None
-        levels = MixtureModel(mixture_of(self.field, conditions.sigma), conditions.lowest)
+        sigma, lowest = self.conditions.sigma, self.conditions.lowest
+        levels = MixtureModel(mixture_of(self.field, sigma), lowest)
         z = self.field.cloud.normalize(x)
         parts = np.array_split(z, len(z) // CHUNK + 1)
         return np.concatenate(

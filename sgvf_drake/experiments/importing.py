@@ -5,15 +5,12 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from matplotlib.figure import Figure
-
-from sgvf_drake import plotting
 from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.experiments.figures import field_figure
 from sgvf_drake.experiments.results import SUMMARY, result_folder, save_figure, write_summary
 from sgvf_drake.experiments.runs import FIELD_FILE
 from sgvf_drake.fields import (
     PAPER_GAIN,
-    GuidingField,
     Perceptron,
     ScoreNetwork,
     import_field,
@@ -55,9 +52,9 @@ def run_import(
         The summary.
 
     Raises:
-        FieldFileError: A file holds no such network.
-        PointCloudError: The waypoints cannot be read.
-        ConfigurationError: The parts do not fit together, or the gain is not positive.
+        FieldFileError: If a file holds no such network.
+        PointCloudError: If the waypoints cannot be read.
+        ConfigurationError: If the parts do not fit together, or the gain is not positive.
     """
     # Imported here: the other experiments do without torch.
     from sgvf_drake.learning.checkpoints import load_checkpoint
@@ -69,7 +66,7 @@ def run_import(
         field = import_field(*networks, cloud, gain=gain, normalise=normalise, files=files)
         field.save(folder / FIELD_FILE)
         if field.dim == 2:
-            save_figure(_figure(field), folder / FIGURE)
+            save_figure(field_figure(field)[0], folder / FIGURE)
         summary = {
             "recipe": field.recipe,
             "seed": field.seed,
@@ -113,12 +110,3 @@ def _waypoints(
 def _architecture(kind: str, network: Perceptron) -> dict[str, Any]:
     widths = [network.num_inputs, *(len(bias) for bias in network.biases)]
     return {f"{kind}_layers": widths, f"{kind}_activation": network.activation.name}
-
-
-def _figure(field: GuidingField) -> Figure:
-    """Returns the field with its waypoints."""
-    figure, axes = plotting.new_figure(1, 1, 5.2, 4.6)
-    plotting.plot_field(axes[0], field, field.cloud.box)
-    plotting.plot_waypoints(axes[0], field.cloud.points)
-    plotting.plane_axes(axes[0], "unit of the waypoints", "guiding field")
-    return figure

@@ -1,4 +1,4 @@
-"""The commands' work: train, follow, fly and tour, each into a folder of results."""
+"""What the commands train, follow, fly and demo do, each into a folder of results."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -6,12 +6,14 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+
 from sgvf_drake.experiments import figures
 from sgvf_drake.experiments.certified import CERTIFICATE_FIGURE, CertifiedField
 from sgvf_drake.experiments.figures.certificate import certificate_figure
+from sgvf_drake.experiments.flight import FlightSpec
 from sgvf_drake.experiments.fly import fly
 from sgvf_drake.experiments.follow import follow
-from sgvf_drake.experiments.margin import flight_margin, margin_summary
 from sgvf_drake.experiments.reference import choose_reference
 from sgvf_drake.experiments.results import (
     SUMMARY,
@@ -22,15 +24,19 @@ from sgvf_drake.experiments.results import (
 )
 from sgvf_drake.experiments.scene import NO_VIEW, View
 from sgvf_drake.experiments.tour import fly_tour
+from sgvf_drake.experiments.velocity_error import flight_margin, margin_summary
 from sgvf_drake.fields import GuidingField, load_field
-from sgvf_drake.paths import PointCloud, Reference
+from sgvf_drake.paths import PointCloud, Reference, make_shape
 from sgvf_drake.progress import Progress, no_progress
-from systems import FieldForSpeed, SensorParameters
+from systems import FieldForSpeed
 
 FIELD_FILE = "field.safetensors"
 TRAIN_FILES = (SUMMARY, FIELD_FILE, "losses.csv", "field.png")
 FOLLOW_FILES = (SUMMARY, "trajectories.parquet", "follow.png")
 TOUR_FILES = (SUMMARY, "tour.parquet", "tour.png", "tour.html")
+# Of the demo: the paper's first flight scenario.
+DEMO_SHAPE, DEMO_STARTS = "concentric-flight", 100
+DEMO_FILES = (SUMMARY, "waypoints.csv", "train", "follow", "fly")
 
 Folder = str | PathLike[str]
 
@@ -39,10 +45,15 @@ def open_field(path: Folder) -> GuidingField:
     """Loads a field from its file, or from the folder of its training.
 
     Raises:
-        FieldFileError: There is no field, or it is damaged or foreign.
+        FieldFileError: If there is no field, or if it is damaged or foreign.
     """
     path = Path(path)
     return load_field(path / FIELD_FILE if path.is_dir() else path)
+
+
+# Every run takes the folder of its results, whether results there may be replaced, and who is
+# told how far it is; the reference is one from `choose_reference`, or None for the best there
+# is without a file.  It returns its summary.
 
 
 def run_train(
@@ -53,18 +64,7 @@ def run_train(
     overwrite: bool = False,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
-    """Trains a field; leaves the field, the losses, a figure and the summary.
-
-    Args:
-        cloud: The waypoints.
-        config: A `TrainingConfig`.
-        out: The folder of the results.
-        overwrite: Whether results there may be replaced.
-        progress: Told how far the training is.
-
-    Returns:
-        The summary.
-    """
+    """Trains a field by a `TrainingConfig`; leaves it, the losses, a figure, the summary."""
     # Imported here: follow and fly do without torch.
     from sgvf_drake.learning import train
 
@@ -132,20 +132,7 @@ def run_follow(
     overwrite: bool = False,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
-    """Follows a field from a grid of starts; leaves trajectories, a figure, the summary.
-
-    Args:
-        field: The field.
-        reference: From `choose_reference`; None: the best there is without a file.
-        out: The folder of the results.
-        starts: Number of starts.
-        duration: Seconds at unit speed; None: 1.5 longest pieces + 15 U.
-        overwrite: Whether results there may be replaced.
-        progress: Told how far the simulation is.
-
-    Returns:
-        The summary.
-    """
+    """Follows a field as `follow` does; leaves trajectories, a figure, the summary."""
     path, kind = reference or choose_reference(field)
     with result_folder(out, FOLLOW_FILES, overwrite=overwrite) as folder:
         result = follow(field, path, starts, duration, progress)
@@ -161,12 +148,8 @@ def run_fly(
     field: GuidingField,
     reference: tuple[Reference, str] | None,
     out: Folder,
+    spec: FlightSpec,
     *,
-    speed: float = 0.45,
-    laps: float = 2.0,
-    altitude: float = 1.0,
-    sensors: SensorParameters | None = None,
-    seed: int = 0,
     view: View = NO_VIEW,
     certified: CertifiedField | None = None,
     overwrite: bool = False,
@@ -174,55 +157,24 @@ def run_fly(
 ) -> dict[str, Any]:
     """Flies the quadrotor along every piece; leaves logs, a figure a piece, the summary.
 
-    Args:
-        field: The field, in metres.
-        reference: From `choose_reference`; None: the best there is without a file.
-        out: The folder of the results.
-        speed: Commanded speed, m/s.
-        laps: Lengths of each closed piece, at least 1.
-        altitude: Height of the flight where the field is planar, m.
-        sensors: Noise, delay and rates of the measurements; None: they are ideal.
-        seed: Of their noise.
-        view: How the flights are watched; with pages, there is one for each piece.
-        certified: What the velocity error is held against; adds a figure, and a block of the
-            summary.  None: nothing is proved of the field.
-        overwrite: Whether results there may be replaced.
-        progress: Told how far each simulation is.
-
-    Returns:
-        The summary.
+    With a `view` with pages there is one for each piece.  With a certificate the velocity
+    error is held against it, which adds a figure and a block of the summary.
     """
     path, kind = reference or choose_reference(field)
     pieces = range(1, 1 + len(path.lengths))
     names = [f"flight_{n}.{suffix}" for n in pieces for suffix in ("png", "parquet", "html")]
-    with result_folder(
-        out, (SUMMARY, CERTIFICATE_FIGURE, *names), overwrite=overwrite
-    ) as folder:
-        result = fly(
-            field,
-            path,
-            speed,
-            laps,
-            altitude,
-            progress=progress,
-            scene=view.scene(folder),
-            sensors=sensors,
-            seed=seed,
-        )
-        flown = FieldForSpeed(field, speed)
+    files = (SUMMARY, CERTIFICATE_FIGURE, *names)
+    with result_folder(out, files, overwrite=overwrite) as folder:
+        result = fly(field, path, spec, progress=progress, scene=view.scene(folder))
+        flown = FieldForSpeed(field, spec.speed)
         for flight in result.flights:
             stem = folder / f"flight_{flight.piece + 1}"
             flight.log.to_parquet(stem.with_suffix(".parquet"))
             figure = figures.flight_figure(flown, field.cloud, flight, result)
             save_figure(figure, stem.with_suffix(".png"))
-        summary = {
-            **result.summary(),
-            "reference": kind,
-            "sensors": _sensor_summary(sensors, seed),
-            **origin(field),
-        }
+        summary = {**result.summary(), **_flight_origin(field, kind, spec)}
         if certified is not None:
-            margins = [flight_margin(certified, flight, speed) for flight in result.flights]
+            margins = [flight_margin(certified, one, spec.speed) for one in result.flights]
             figure = certificate_figure(certified.field, certified.certificate, margins)
             save_figure(figure, folder / CERTIFICATE_FIGURE)
             summary["certificate"] = margin_summary(margins)
@@ -235,62 +187,51 @@ def run_tour(
     reference: tuple[Reference, str] | None,
     out: Folder,
     tour: Sequence[int],
+    spec: FlightSpec,
     *,
-    speed: float = 0.45,
-    laps: float = 1.0,
-    altitude: float = 1.0,
-    sensors: SensorParameters | None = None,
-    seed: int = 0,
     view: View = NO_VIEW,
     overwrite: bool = False,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
-    """Flies along several pieces in one flight; leaves the log, a figure, the summary.
-
-    Args:
-        field: The field, in metres.
-        reference: From `choose_reference`; None: the best there is without a file.
-        out: The folder of the results.
-        tour: Numbers of the pieces, from 0, in the order in which they are flown.
-        speed: Commanded speed, m/s.
-        laps: Of each closed piece, at least 1.
-        altitude: Height of the flight where the field is planar, m.
-        sensors: Noise, delay and rates of the measurements; None: they are ideal.
-        seed: Of their noise.
-        view: How the flight is watched.
-        overwrite: Whether results there may be replaced.
-        progress: Told how far the simulation is.
-
-    Returns:
-        The summary.
-    """
+    """Flies a tour as `fly_tour` does; leaves the log, a figure, the summary."""
     path, kind = reference or choose_reference(field)
     with result_folder(out, TOUR_FILES, overwrite=overwrite) as folder:
-        result = fly_tour(
-            field,
-            path,
-            tour,
-            speed,
-            laps,
-            altitude,
-            sensors=sensors,
-            seed=seed,
-            progress=progress,
-            scene=view.scene(folder),
-        )
+        result = fly_tour(field, path, tour, spec, progress=progress, scene=view.scene(folder))
         result.log.to_parquet(folder / "tour.parquet")
-        figure = figures.tour_figure(FieldForSpeed(field, speed), field.cloud, result)
-        save_figure(figure, folder / "tour.png")
-        summary = {
-            **result.summary(),
-            "speed_command_m_s": speed,
-            "reference": kind,
-            "sensors": _sensor_summary(sensors, seed),
-            **origin(field),
-        }
+        flown = FieldForSpeed(field, spec.speed)
+        save_figure(figures.tour_figure(flown, field.cloud, result), folder / "tour.png")
+        commanded = {"speed_command_m_s": spec.speed}
+        summary = {**result.summary(), **commanded, **_flight_origin(field, kind, spec)}
         write_summary(folder, summary)
     return summary
 
 
-def _sensor_summary(sensors: SensorParameters | None, seed: int) -> dict[str, Any] | None:
-    return None if sensors is None else {**asdict(sensors), "seed": seed}
+def _flight_origin(field: GuidingField, reference: str, spec: FlightSpec) -> dict[str, Any]:
+    """Returns what a flight was measured against and by, and where its field comes from."""
+    sensors = spec.sensors and {**asdict(spec.sensors), "seed": spec.seed}
+    return {"reference": reference, "sensors": sensors, **origin(field)}
+
+
+def run_demo(
+    out: Folder, *, overwrite: bool = False, progress: Progress = no_progress
+) -> dict[str, Any]:
+    """Does the main job from end to end, in the paper's first flight scenario.
+
+    Trains on the concentric rings, follows them from a grid and flies each of them; leaves a
+    folder for each part, and the summaries of the parts by name.
+    """
+    from sgvf_drake.learning import TrainingConfig
+
+    with result_folder(out, DEMO_FILES, overwrite=overwrite) as folder:
+        cloud, _ = make_shape(DEMO_SHAPE)
+        waypoints = pd.DataFrame(cloud.points, columns=["x", "y"])
+        waypoints.to_csv(folder / "waypoints.csv", index=False)
+        train = run_train(cloud, TrainingConfig(), folder / "train", progress=progress)
+        field = open_field(folder / "train")
+        follow = run_follow(
+            field, None, folder / "follow", starts=DEMO_STARTS, progress=progress
+        )
+        flight = run_fly(field, None, folder / "fly", FlightSpec(), progress=progress)
+        summary = {"train": train, "follow": follow, "fly": flight}
+        write_summary(folder, summary)
+    return summary

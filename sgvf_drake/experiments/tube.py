@@ -37,19 +37,13 @@ def tube_curves(
         speed: Of the flight, m/s: a certificate may be that of the field as it is flown.
 
     Raises:
-        ConfigurationError: There is neither of this field, or it found no tube.
+        ConfigurationError: If there is neither of this field, or if it found no tube.
     """
-    if certificate_file(results) is not None:
-        return certified_tube(CertifiedField.open(field, results, speed, scale))
-    return _verified_tube(field, results, scale)
-
-
-def certified_tube(certified: CertifiedField) -> Sequence[FloatArray]:
-    """Returns the border of the proved tube as polylines (k, 2) each, in metres."""
-    conditions = certified.certificate.conditions
-    assert conditions is not None
-    metric = certified.field.rescaled(certified.scale)
-    return level_curves(metric, conditions.sigma * metric.cloud.unit_length, conditions.c_in)
+    if certificate_file(results) is None:
+        return _verified_tube(field, results, scale)
+    certified = CertifiedField.open(field, results, speed, scale)
+    metric, proved = certified.field.rescaled(scale), certified.conditions
+    return level_curves(metric, proved.sigma * metric.cloud.unit_length, proved.c_in)
 
 
 def _verified_tube(
@@ -79,11 +73,16 @@ def level_curves(field: GuidingField, sigma: float, level: float) -> Sequence[Fl
     x, y, values = _raster(V, lower, upper, CELLS)
     cell = float((upper - lower).max()) / CELLS
     # V is about r^2 / 2 sigma^2 at a distance r from the path.
-    finer = int(np.ceil(CELLS_TO_BORDER * cell / (sigma * np.sqrt(2 * max(level, TINY)))))
+    root = np.sqrt(max(level, TINY))
+    finer = int(np.ceil(CELLS_TO_BORDER * cell / (sigma * np.sqrt(2) * root)))
     if finer > 1:
-        near = _cells_near(values, np.sqrt(max(level, 0.0)) + cell / (2 * sigma))
         finer = min(finer, FINEST)
-        x, y, values = _raster(V, lower, upper, CELLS * finer, _vertices(near, finer))
+        # V is at most (sqrt(V') + r / sqrt(2) sigma)^2 at a distance r from where it is V',
+        # since its Hessian is at most I / sigma^2: so no cell that the level reaches into is
+        # left out.
+        near = _has_corner(np.sqrt(np.maximum(values, 0)) <= root + cell / (2 * sigma))
+        cells = np.pad(near.repeat(finer, axis=0).repeat(finer, axis=1), 1)
+        x, y, values = _raster(V, lower, upper, CELLS * finer, _has_corner(cells))
     return [np.asarray(line) for line in contour_generator(x, y, values).lines(level)]
 
 
@@ -104,20 +103,9 @@ def _raster(
     return x, y, values
 
 
-def _cells_near(values: FloatArray, root: float) -> BoolArray:
-    """Returns which cells have a corner with V <= root^2.
-
-    V is at most (sqrt(V') + r / sqrt(2) sigma)^2 at a distance r from where it is V', since its
-    Hessian is at most I / sigma^2: so no cell that the level reaches into is left out.
-    """
-    low = values <= root**2
-    return low[:-1, :-1] | low[1:, :-1] | low[:-1, 1:] | low[1:, 1:]
-
-
-def _vertices(cells: BoolArray, finer: int) -> BoolArray:
-    """Returns which vertices of a finer raster lie in cells of a coarser one."""
-    inside = np.pad(cells.repeat(finer, axis=0).repeat(finer, axis=1), 1)
-    return inside[:-1, :-1] | inside[1:, :-1] | inside[:-1, 1:] | inside[1:, 1:]
+def _has_corner(marked: BoolArray) -> BoolArray:
+    """Returns which squares of four neighbours in an array have a marked one."""
+    return marked[:-1, :-1] | marked[1:, :-1] | marked[:-1, 1:] | marked[1:, 1:]
 
 
 def _read(path: Path) -> Any:

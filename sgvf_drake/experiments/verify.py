@@ -28,7 +28,7 @@ from sgvf_drake.experiments.theorem import (
     check_level_sets,
     check_modes,
 )
-from sgvf_drake.experiments.tracking import flight_tracking
+from sgvf_drake.experiments.velocity_error import flight_tracking
 from sgvf_drake.fields import GuidingField, TangentField
 from sgvf_drake.lyapunov import Verification, learned_path, verify
 from sgvf_drake.metrics import default_duration, grid_starts

@@ -28,7 +28,7 @@ def test_tracking_error_of_both_rings(save: Save) -> None:
         field = train(seed)
         reference, _ = choose_reference(field)
         for speed in (0.45, 2.0):
-            result = fly(field, reference, speed)
+            result = fly(field, reference, speed=speed)
             rows += [{"seed": seed, "speed": speed, **f.summary} for f in result.flights]
     table = pd.DataFrame(rows).drop(columns=["start_m", "speed_command_m_s"])
     save(table, "flight")

@@ -38,7 +38,9 @@ def test_legs_and_transfers(save: Save, shape: str) -> None:
     for seed in SEEDS:
         field = sgvf.train(cloud, sgvf.TrainingConfig(seed=seed)).field
         reference, _ = choose_reference(field)
-        result = fly_tour(field, reference, tour, SPEED, sensors=SensorParameters(), seed=seed)
+        result = fly_tour(
+            field, reference, tour, speed=SPEED, sensors=SensorParameters(), seed=seed
+        )
         summaries.append(result.summary())
         rows += [{"shape": shape, "seed": seed, **part} for part in parts_of(summaries[-1])]
         if seed == SEEDS[0]:

@@ -12,9 +12,9 @@ from scipy import ndimage
 from sgvf_drake import plotting
 from sgvf_drake.arrays import FloatArray
 from sgvf_drake.certificate import Certificate, Part
+from sgvf_drake.experiments.figures.tracking import LOWEST_V, color_of, draw_errors
 from sgvf_drake.experiments.figures.verification import BELOW, FALLS, LEVELS, TUBE
-from sgvf_drake.experiments.fly import TAKE_OFF_S
-from sgvf_drake.experiments.margin import FlightMargin
+from sgvf_drake.experiments.velocity_error import FlightMargin
 from sgvf_drake.fields import GaussianMixture, GuidingField
 from sgvf_drake.lyapunov import LyapunovFunction
 
@@ -25,9 +25,6 @@ WAYPOINT_SIZE = 1.5
 # Half-side of the window that shows the tube from near, in half-widths of the tube.
 ZOOM_WIDTHS = 4.0
 PART_ALPHA = 0.4
-FLIGHT_COLORS = (plotting.RED, plotting.BLUE, plotting.ORANGE)
-# Below these V and errors are not told apart: as parts of c_in, and of the speed.
-LOWEST_V, LOWEST_ERROR = 1e-2, 1e-3
 
 _SETS = [
     Patch(color=FALLS, label="every robot from here enters the tube"),
@@ -75,9 +72,9 @@ def _plot_map(
     for dots in plotting.plot_waypoints(axes, field.cloud.points):
         dots.set(markersize=WAYPOINT_SIZE)
     for flight in flights:
-        x, y = flight.table["x"], flight.table["y"]
-        axes.plot(x, y, color=_color(flight), linewidth=1.2)
-        axes.plot(x.iloc[0], y.iloc[0], "o", color=_color(flight), markersize=5)
+        x, y = flight.positions.T
+        axes.plot(x, y, color=color_of(flight), linewidth=1.2)
+        axes.plot(x[0], y[0], "o", color=color_of(flight), markersize=5)
     if found.counterexample is not None:
         axes.plot(*found.counterexample, "X", color=plotting.RED, markersize=9)
     plotting.plane_axes(axes, "unit of the waypoints")
@@ -126,7 +123,7 @@ def _entry_window(
     assert found.tube_half_width is not None
     first = flights[0]
     row = int(np.argmax(first.settled)) if first.settled.any() else -1
-    middle = first.table[["x", "y"]].to_numpy()[row]
+    middle = first.positions[row]
     half = ZOOM_WIDTHS * found.tube_half_width
     return middle - half, middle + half
 
@@ -148,27 +145,17 @@ def _plot_margin(axes: Axes, found: Certificate, flights: Sequence[FlightMargin]
 def _plot_errors(
     axes: Axes, levels: FloatArray, e_star: FloatArray, flights: Sequence[FlightMargin]
 ) -> None:
-    """Draws the errors of flights over V beside what is tolerated, on logarithmic axes."""
-    axes.stairs(e_star, levels, fill=True, color="black", alpha=0.1)
+    """Draws the errors of flights over V beside what is tolerated."""
     c_in, lowest = levels[0], LOWEST_V * levels[0]
+    axes.stairs(e_star, levels, fill=True, color="black", alpha=0.1)
     axes.fill_between([lowest, c_in], e_star[0], color=TUBE, alpha=0.2)
     axes.hlines(
         e_star[0], lowest, c_in, color="black", linestyle="--", label="e* of the tube's border"
     )
-    for flight in flights:
-        table, color = flight.table, _color(flight)
-        V = np.maximum(table["V"], lowest)
-        error = np.maximum(table["error"], LOWEST_ERROR)
-        taking_off = table["time"] < TAKE_OFF_S
-        name = f"flight {flight.piece + 1}"
-        for part, style, label in (
-            (taking_off, ":", f"{name}, take-off"),
-            (~taking_off & ~flight.settled, "--", f"{name}, to the tube"),
-            (flight.settled, "-", f"{name}, since then"),
-        ):
-            axes.plot(V[part], error[part], style, color=color, linewidth=1, label=label)
-    covering = [flight.summary()["covering_level"] for flight in flights]
-    if None not in covering:
+    draw_errors(axes, flights, c_in, levels[-1])
+    levels_of_flights = [flight.covering_level for flight in flights]
+    covering = [level for level in levels_of_flights if level is not None]
+    if len(covering) == len(flights):
         axes.axvline(
             max(covering),
             color="black",
@@ -176,16 +163,5 @@ def _plot_errors(
             linewidth=1,
             label="the first level that tolerates all errors in the tube",
         )
-    axes.set(
-        yscale="log",
-        xlim=(lowest, 1.5 * levels[-1]),
-        ylim=(LOWEST_ERROR, 1.5),
-        xlabel="V (in the green part inside the tube)",
-        ylabel="velocity error and what is tolerated, parts of the speed",
-        title="velocity error against e*",
-    )
+    axes.set(xlabel="V (in the green part inside the tube)", title="velocity error against e*")
     axes.legend(**BELOW)
-
-
-def _color(flight: FlightMargin) -> str:
-    return FLIGHT_COLORS[flight.piece % len(FLIGHT_COLORS)]

@@ -1,29 +1,42 @@
-"""The figures of training, following and flying."""
+"""The figures of training, following, flying and tours."""
 
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 import numpy as np
 import pandas as pd
 
 from sgvf_drake import plotting
 from sgvf_drake.experiments.fly import FlightResult, PieceFlight
 from sgvf_drake.experiments.follow import FollowResult
+from sgvf_drake.experiments.tour import TourResult
 from sgvf_drake.fields import Field, GuidingField
 from sgvf_drake.metrics import FollowMetrics
 from sgvf_drake.paths import PointCloud
+from systems import Mode
+
+# Behind the times of a transfer.
+SHADE = "#f3d9b1"
+UNIT = "unit of the waypoints"
+
+
+def field_figure(field: GuidingField, columns: int = 1) -> tuple[Figure, list[Axes]]:
+    """Returns a figure that shows a planar field with its waypoints, and its further axes."""
+    figure, axes = plotting.new_figure(1, columns, 5.2 * columns, 4.6)
+    if field.dim == 2:
+        plotting.plot_field(axes[0], field, field.cloud.box)
+        plotting.plot_waypoints(axes[0], field.cloud.points)
+        plotting.plane_axes(axes[0], UNIT, "guiding field")
+        axes = axes[1:]
+    return figure, axes
 
 
 def training_figure(field: GuidingField, history: pd.DataFrame) -> Figure:
     """Returns the field with its waypoints beside the losses (paper, Fig. 2)."""
-    stages = list(history.groupby("stage", sort=False))
-    planar = field.dim == 2
-    columns = len(stages) + planar
-    figure, axes = plotting.new_figure(1, columns, 5 * columns, 4.6)
-    if planar:
-        plotting.plot_field(axes[0], field, field.cloud.box)
-        plotting.plot_waypoints(axes[0], field.cloud.points)
-        plotting.plane_axes(axes[0], "unit of the waypoints", "guiding field")
-    for stage_axes, (_, losses) in zip(axes[planar:], stages, strict=True):
+    stages = [losses for _, losses in history.groupby("stage", sort=False)]
+    figure, axes = field_figure(field, len(stages) + (field.dim == 2))
+    for stage_axes, losses in zip(axes, stages, strict=True):
         plotting.plot_losses(stage_axes, losses)
     return figure
 
@@ -37,10 +50,8 @@ def follow_figure(field: GuidingField, result: FollowResult) -> Figure:
     plotting.plot_trajectories(axes[0], result.positions, followed)
     plotting.plot_waypoints(axes[0], field.cloud.points)
     title = f"{followed.sum()} of {len(followed)} starts {_aim(result.metrics)}"
-    plotting.plane_axes(axes[0], "unit of the waypoints", title)
-    plotting.plot_cross_track(
-        axes[1], result.times, result.errors, "unit of the waypoints", "s at unit speed"
-    )
+    plotting.plane_axes(axes[0], UNIT, title)
+    plotting.plot_cross_track(axes[1], result.times, result.errors, UNIT, "s at unit speed")
     return figure
 
 
@@ -58,21 +69,64 @@ def flight_figure(
 
     `field` is the field as it was flown; see `systems.FieldForSpeed`.
     """
+    limit = result.spec.parameters.max_propeller_force
+    figure, axes = _flight_panels(field, cloud, flight.log, limit, zoom=False)
+    plotting.plane_axes(axes[0], "m", "flight from a hover beside the path")
+    _plane_legend(axes[0], transfers=False)
+    return figure
+
+
+def tour_figure(field: Field, cloud: PointCloud, result: TourResult) -> Figure:
+    """Returns the same of a tour, with its transfers in another colour (paper, Fig. 3)."""
+    log, limit = result.log, result.parameters.max_propeller_force
+    figure, axes = _flight_panels(field, cloud, log, limit, zoom=True)
+    flies = log["mode"] == Mode.TRANSFER
+    away = log[["x", "y"]].where(flies)
+    axes[0].plot(away["x"], away["y"], color=plotting.ORANGE, linewidth=2.2)
+    order = ", ".join(str(leg["piece"] + 1) for leg in result.legs)
+    plotting.plane_axes(axes[0], "m", f"one flight along the pieces {order}")
+    _plane_legend(axes[0], transfers=True)
+    for timeline in axes[1:]:
+        across = timeline.get_xaxis_transform()
+        timeline.fill_between(
+            log["time"], 0, 1, where=flies, color=SHADE, transform=across, zorder=0
+        )
+    axes[1].legend(handles=[Patch(color=SHADE, label="transfer")], loc="upper right")
+    return figure
+
+
+def _flight_panels(
+    field: Field, cloud: PointCloud, log: pd.DataFrame, force_limit: float, zoom: bool
+) -> tuple[Figure, list[Axes]]:
+    """Returns a figure of the plane, the error, the velocity and the forces of a flight."""
     figure, axes = plotting.new_figure(2, 2, 12, 8.5)
-    log = flight.log
     if field.dim == 2:
         plotting.plot_field(axes[0], field, cloud.box)
     plotting.plot_waypoints(axes[0], cloud.points)
-    positions = log[["x", "y"]].to_numpy()[:, None, :]
-    plotting.plot_trajectories(axes[0], positions)
-    plotting.plane_axes(axes[0], "m", "flight from a hover beside the path")
-    handles = [Line2D([], [], color=plotting.BLUE), Line2D([], [], color="black", ls=":")]
-    axes[0].legend(handles, ["quadrotor", "waypoints"], loc="upper right")
+    plotting.plot_trajectories(axes[0], log[["x", "y"]].to_numpy()[:, None, :])
     errors = log["cross_track_error"].to_numpy()[:, None]
     plotting.plot_cross_track(axes[1], log["time"].to_numpy(), errors, "m")
     plotting.plot_velocity(axes[2], log)
-    plotting.plot_propeller_forces(axes[3], log, result.parameters.max_propeller_force)
-    return figure
+    plotting.plot_propeller_forces(axes[3], log, force_limit, zoom=zoom)
+    return figure, axes
+
+
+def _plane_legend(axes: Axes, transfers: bool) -> None:
+    """Names the lines of a flight, beside the plane, which a flight may fill."""
+    lines = {
+        "quadrotor": Line2D([], [], color=plotting.BLUE),
+        "transfer": Line2D([], [], color=plotting.ORANGE, linewidth=2.2),
+        "waypoints": Line2D([], [], color="black", ls=":"),
+    }
+    if not transfers:
+        del lines["transfer"]
+    axes.legend(
+        list(lines.values()),
+        list(lines),
+        loc="upper left",
+        bbox_to_anchor=(1.0, 1.0),
+        frameon=False,
+    )
 
 
 def trajectory_table(result: FollowResult) -> pd.DataFrame:

@@ -1,78 +1,94 @@
-"""The figure of the velocity-tracking error in flight."""
+"""The figure of the velocity error in flight, and errors over V as any figure draws them."""
+
+from collections.abc import Sequence
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 import numpy as np
 
 from sgvf_drake import plotting
-from sgvf_drake.experiments.tracking import TrackingResult
+from sgvf_drake.experiments.flight import TAKE_OFF_S
+from sgvf_drake.experiments.velocity_error import TrackingResult, VelocityErrors
 
-PIECE_COLORS = (plotting.BLUE, plotting.GREEN)
-# Errors and V cross zero; they are drawn over so many decades below the largest.
-DECADES = 4
+FLIGHT_COLORS = (plotting.RED, plotting.BLUE, plotting.ORANGE)
+# Below these V and errors are not told apart: as parts of c_in, and of the speed.
+LOWEST_V, LOWEST_ERROR = 1e-2, 1e-3
 
 
 def tracking_figure(result: TrackingResult) -> Figure:
     """Returns the velocity error over time, and over V beside what each level tolerates."""
     figure, axes = plotting.new_figure(1, 2, 12, 4.8)
     _draw_over_time(axes[0], result)
-    _draw_over_V(axes[1], result)
+    levels, e_star = result.margins.levels, np.maximum(result.margins.e_star, 0.0)
+    axes[1].plot(levels, e_star, color="black", linewidth=1.5, label="tolerated, e*")
+    axes[1].fill_between(levels, e_star, color="black", alpha=0.1)
+    draw_errors(axes[1], result.flights, result.c_in, levels[-1])
+    for level, text in ((result.c_in, "$c_{in}$"), (result.level, "level")):
+        axes[1].axvline(level, color=plotting.GREY, linewidth=0.9)
+        axes[1].annotate(text, (level, 0.02), xycoords=("data", "axes fraction"))
+    axes[1].set(title="in the shade V falls, whatever the direction of the error")
+    axes[1].legend(loc="upper left")
     return figure
+
+
+def draw_errors(
+    axes: Axes, flights: Sequence[VelocityErrors], c_in: float, highest: float
+) -> None:
+    """Draws the velocity errors of flights over V on logarithmic axes, as parts of the speed.
+
+    Args:
+        axes: Show what the levels tolerate already.
+        flights: The take-off, the way to the tube and the rest of each look different.
+        c_in: The border of the tube.
+        highest: The highest level of V that is known.
+    """
+    lowest = LOWEST_V * c_in
+    for flight in flights:
+        V = np.maximum(flight.log["V"], lowest)
+        error = np.maximum(flight.log["error"], LOWEST_ERROR)
+        taking_off = ~flight.settled & (flight.log["time"] < TAKE_OFF_S)
+        name, color = f"flight {flight.piece + 1}", color_of(flight)
+        for part, style, label in (
+            (taking_off, ":", f"{name}, take-off"),
+            (~taking_off & ~flight.settled, "--", f"{name}, to the tube"),
+            (flight.settled, "-", f"{name}, since then"),
+        ):
+            axes.plot(V[part], error[part], style, color=color, linewidth=1, label=label)
+    axes.set(
+        xscale="log",
+        yscale="log",
+        xlim=(lowest, 1.5 * highest),
+        ylim=(LOWEST_ERROR, 1.5),
+        xlabel="V",
+        ylabel="velocity error and what is tolerated, parts of the speed",
+    )
+    axes.grid(alpha=0.3)
+
+
+def color_of(flight: VelocityErrors) -> str:
+    """Returns the colour of the lines of a flight."""
+    return FLIGHT_COLORS[flight.piece % len(FLIGHT_COLORS)]
 
 
 def _draw_over_time(axes: Axes, result: TrackingResult) -> None:
     for flight in result.flights:
-        color = PIECE_COLORS[flight.piece % len(PIECE_COLORS)]
-        log, label = flight.log, f"piece {flight.piece + 1}"
-        axes.plot(log["time"], log["tracking_error"], color=color, linewidth=0.9, label=label)
+        log, color, label = flight.log, color_of(flight), f"flight {flight.piece + 1}"
+        error = np.maximum(log["error"], LOWEST_ERROR)
+        axes.plot(log["time"], error, color=color, linewidth=0.9, label=label)
         for time in log["time"][flight.settled][:1]:
             axes.axvline(time, color=color, linestyle=":", linewidth=0.9)
-    tolerated = result.speed * result.margins.at(result.level)
     axes.axhline(
-        tolerated,
-        color=plotting.RED,
+        result.tolerated / result.speed,
+        color="black",
         linestyle="--",
         label=f"tolerated at V = {result.level:.3g}",
     )
-    highest = 2 * max(result.speed, tolerated)
     axes.set(
         xlabel="time [s]",
-        ylabel="velocity error [m/s]",
+        ylabel="velocity error, part of the speed",
         yscale="log",
-        ylim=(highest / 10**DECADES, highest),
+        ylim=(LOWEST_ERROR, 1.5),
         title=f"flight at {result.speed:g} m/s; settled from the dotted lines on",
     )
     axes.legend(loc="upper right")
-    axes.grid(alpha=0.3)
-
-
-def _draw_over_V(axes: Axes, result: TrackingResult) -> None:  # noqa: N802
-    levels, e_star = result.margins.levels, result.margins.e_star
-    tolerated = np.maximum(result.speed * e_star, 0.0)
-    axes.plot(levels, tolerated, color=plotting.RED, linestyle="--", label="tolerated")
-    axes.fill_between(levels, tolerated, color=plotting.RED, alpha=0.1)
-    for flight in result.flights:
-        color = PIECE_COLORS[flight.piece % len(PIECE_COLORS)]
-        for part, style, state in (
-            (~flight.settled, ":", "on its way in"),
-            (flight.settled, "-", "settled"),
-        ):
-            log, label = flight.log[part], f"piece {flight.piece + 1}, {state}"
-            axes.plot(
-                log["V"], log["tracking_error"], style, color=color, linewidth=0.9, label=label
-            )
-    for level, text in ((result.c_in, "$c_{in}$"), (result.level, "level")):
-        axes.axvline(level, color=plotting.GREY, linewidth=0.9)
-        axes.annotate(text, (level, 0.02), xycoords=("data", "axes fraction"))
-    highest = 2 * max(result.speed, float(tolerated.max()))
-    axes.set(
-        xlabel="V",
-        ylabel="velocity error [m/s]",
-        xscale="log",
-        yscale="log",
-        xlim=(levels[-1] / 10**DECADES, 2 * levels[-1]),
-        ylim=(highest / 10**DECADES, highest),
-        title="in the shade V falls, whatever the direction of the error",
-    )
-    axes.legend(loc="upper left")
     axes.grid(alpha=0.3)

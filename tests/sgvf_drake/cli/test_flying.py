@@ -1,5 +1,6 @@
 """The command `fly`: tours, sensors, recordings and the live view, and what it refuses."""
 
+from dataclasses import asdict
 import json
 import shutil
 
@@ -11,14 +12,14 @@ import pytest
 from systems import Mode, SensorParameters
 
 # The circles have radii of 2 and 4 units of the waypoints; in m a unit and m/s.
-SCALE, SPEED = 0.25, 1.0
+SCALE, SPEED = 0.25, 1.5
 
 
 @pytest.fixture(scope="module")
-def inputs(tmp_path_factory, exact_result):
+def inputs(tmp_path_factory, exact_field):
     """A field of two circles, a path along one of them, and results of verifications."""
     folder = tmp_path_factory.mktemp("inputs")
-    field = exact_result.field
+    field = exact_field
     field.save(folder / "field.safetensors")
     inner = min(np.hypot(*field.cloud.points.T))
     angle = np.linspace(0.0, 2 * np.pi, 201)
@@ -63,78 +64,63 @@ def test_a_tour_leaves_its_results(toured):
     assert [transfer["piece"] for transfer in summary["transfers"]] == [0]
     assert summary["speed_command_m_s"] == SPEED
     assert summary["reference"] == "shape"
-    sensors = summary["sensors"]
-    assert sensors["seed"] == 5
-    assert SensorParameters(**{k: v for k, v in sensors.items() if k != "seed"}) == (
-        SensorParameters()
-    )
+    assert summary["sensors"] == {**asdict(SensorParameters()), "seed": 5}
     assert summary["duration_s"] == log["time"].iloc[-1]
     radius = np.hypot(log["x"], log["y"])
     for piece, expected in ((1, 4.0), (0, 2.0)):
         rows = (log["mode"] == Mode.FOLLOW) & (log["piece"] == piece)
-        assert radius[rows].iloc[-1] == pytest.approx(SCALE * expected, abs=0.03)
+        assert radius[rows].iloc[-1] == pytest.approx(SCALE * expected, abs=0.05)
     pixels = imread(toured / "tour.png")[..., :3]
     assert 0.005 < np.any(pixels < 0.9, axis=2).mean() < 0.9
 
 
-def test_a_tour_prints_its_parts(run, inputs, tmp_path, capsys):
-    options = ("--tour", "1", "--scale", SCALE, "--speed", 2.0, "--laps", 2)
-    assert run("fly", inputs / "field.safetensors", *options, "--out", tmp_path / "out") == 0
+def test_a_tour_is_replaced_when_asked_and_prints_its_parts(
+    run, inputs, toured, tmp_path, capsys
+):
+    out = tmp_path / "out"
+    shutil.copytree(toured, out)
+    options = ("--tour", "1", "--scale", SCALE, "--speed", 2.0, "--laps", 2, "--overwrite")
+    assert run("fly", inputs / "field.safetensors", *options, "--out", out) == 0
     printed = capsys.readouterr()
     for words in ("Tour", "along piece 1", "RMS [m]", "force [N]", "results in"):
         assert words in printed.out
     assert printed.err == ""
-    assert names_in(tmp_path / "out") == ["summary.json", "tour.parquet", "tour.png"]
-    summary = summary_of(tmp_path / "out")
+    # The page of the tour before is gone.
+    assert names_in(out) == ["summary.json", "tour.parquet", "tour.png"]
+    summary = summary_of(out)
+    assert [leg["piece"] for leg in summary["legs"]] == [0]
     assert summary["sensors"] is None
     assert summary["duration_s"] >= 0.98 * 2 * 2 * np.pi * (2.0 * SCALE) / 2.0
 
 
-def test_every_flight_leaves_a_page(run, inputs, tmp_path):
-    options = ("--scale", SCALE, "--speed", 2.0, "--laps", 1, "--html")
-    out = tmp_path / "out"
-    assert run("fly", inputs / "field.safetensors", *options, "--out", out) == 0
-    assert names_in(out) == sorted(
-        ["summary.json"]
-        + [f"flight_{n}.{kind}" for n in (1, 2) for kind in ("html", "parquet", "png")]
-    )
-    for n in (1, 2):
-        assert "<html" in (out / f"flight_{n}.html").read_text()
-
-
-def test_the_live_view_tells_its_address(run, inputs, tmp_path, capsys):
+def test_a_flight_leaves_a_page_and_can_be_watched_live(run, inputs, tmp_path, capsys):
     # So small and fast that it is over in two seconds of the clock.
-    options = ("--scale", SCALE / 2, "--speed", 2.0, "--laps", 1, "--meshcat")
+    options = ("--scale", SCALE / 2, "--speed", 2.0, "--laps", 1, "--meshcat", "--html")
     path = ("--reference", inputs / "circle.csv")
     out = tmp_path / "out"
     assert run("fly", inputs / "field.safetensors", *options, *path, "--out", out) == 0
     assert "watch it at http://localhost:" in capsys.readouterr().out
-    assert names_in(out) == ["flight_1.parquet", "flight_1.png", "summary.json"]
+    files = [f"flight_1.{kind}" for kind in ("html", "parquet", "png")]
+    assert names_in(out) == [*files, "summary.json"]
+    assert "<html" in (out / "flight_1.html").read_text()
+    assert summary_of(out)["reference"] == "file"
 
 
 BAD = {
     "unknown piece": (("--tour", "1,3"), "no piece 3 to fly (there are 1, 2)"),
-    "piece zero": (("--tour", "0,1"), "no piece 0 to fly (there are 1, 2)"),
     "no list": (("--tour", "1,two"), "--tour 1,two is no list of pieces, as 1,2,1 is"),
-    "empty list": (("--tour", ""), "is no list of pieces"),
-    "no list, live": (("--tour", "1;2", "--meshcat"), "--tour 1;2 is no list of pieces"),
+    "empty list, live": (("--tour", "", "--meshcat"), "is no list of pieces"),
     "half a lap": (("--tour", "1,2", "--laps", 0.5), "laps must be at least 1, not 0.5"),
-    "NaN speed": (("--tour", "1,2", "--speed", "nan"), "speed must be a positive number"),
     "another path": (
         ("--tour", "1", "--reference", "{inputs}/circle.csv"),
         "the waypoints are in 2 pieces, which are not those of the reference",
     ),
     "hidden tube": (("--tube", "{inputs}/verified"), "is shown by --html or --meshcat"),
     "another tube": (
-        ("--html", "--tube", "{inputs}/other"),
-        "other is the verification of another field",
-    ),
-    "no tube": (("--html", "--tube", "{inputs}/no_tube"), "no_tube found no tube"),
-    "no verification": (("--html", "--tube", "{inputs}/none"), "there is no verification in"),
-    "tube of a live view": (
         ("--meshcat", "--tube", "{inputs}/other"),
         "other is the verification of another field",
     ),
+    "no tube": (("--html", "--tube", "{inputs}/no_tube"), "no_tube found no tube"),
 }
 
 
@@ -155,22 +141,12 @@ def test_a_seed_is_not_negative(run, inputs, tmp_path, capsys):
     assert names_in(tmp_path) == []
 
 
-@pytest.mark.parametrize("kept", ["tour.html", "tour.parquet", "summary.json"])
-def test_results_stay_without_overwrite(inputs, toured, tmp_path, refused, kept):
-    out = tmp_path / "out"
-    out.mkdir()
-    shutil.copy(toured / kept, out)
-    before = (out / kept).read_bytes()
-    line = refused("fly", inputs / "field.safetensors", "--tour", "1", "--out", out)
-    assert f"already holds {kept}" in line
-    assert names_in(tmp_path) == ["out"]
-    assert names_in(out) == [kept]
-    assert (out / kept).read_bytes() == before
-
-
-def test_overwrite_replaces_a_tour(run, inputs, toured, tmp_path):
-    out = tmp_path / "out"
-    shutil.copytree(toured, out)
-    options = ("--tour", "1", "--scale", SCALE, "--speed", 2.0, "--overwrite")
-    assert run("fly", inputs / "field.safetensors", *options, "--out", out) == 0
-    assert [leg["piece"] for leg in summary_of(out)["legs"]] == [0]
+def test_results_stay_without_overwrite(inputs, toured, tmp_path, refused):
+    for kept in ("tour.html", "summary.json"):
+        out = tmp_path / kept
+        out.mkdir()
+        shutil.copy(toured / kept, out)
+        line = refused("fly", inputs / "field.safetensors", "--tour", "1", "--out", out)
+        assert f"already holds {kept}" in line
+        assert names_in(out) == [kept]
+        assert (out / kept).read_bytes() == (toured / kept).read_bytes()

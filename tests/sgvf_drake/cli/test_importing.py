@@ -2,7 +2,6 @@
 
 import json
 import os
-from pathlib import Path
 import re
 
 import numpy as np
@@ -10,12 +9,6 @@ import pytest
 import torch
 
 from sgvf_drake import load_field
-
-FILES = {"summary.json", "field.safetensors", "field.png"}
-
-
-def names_in(folder):
-    return {path.name for path in Path(folder).iterdir()}
 
 
 class Trap:
@@ -70,60 +63,57 @@ def command(run, inputs):
     return call
 
 
-def test_import(command, tmp_path, capsys, ring_networks, largest_difference):
+@pytest.mark.parametrize("option", ["--k-s", "--gain"])
+def test_import(command, inputs, tmp_path, capsys, ring_networks, largest_difference, option):
     out = tmp_path / "out"
-    assert command("score.pth", "tangent.pth", "--out", out) == 0
-    assert names_in(out) == FILES
+    more = ("--points", inputs / "ring.csv", "--columns", "x, y", option, 0.7, "--normalise")
+    assert command("score.pth", "tangent.pth", *more, "--out", out) == 0
+    names = {path.name for path in out.iterdir()}
+    assert names == {"summary.json", "field.safetensors", "field.png"}
     summary = json.loads((out / "summary.json").read_text())
-    assert (summary["recipe"], summary["points"]) == ("imported", "score")
-    assert (summary["gain"], summary["normalised"]) == (0.2, False)
-    assert largest_difference(load_field(out / "field.safetensors"), *ring_networks) < 1e-6
+    assert (summary["points"], summary["num_points"]) == ("file", 100)
+    assert (summary["gain"], summary["normalised"]) == (0.7, True)
+    field = load_field(out / "field.safetensors")
+    assert largest_difference(field, *ring_networks, gain=0.7, normalise=True) < 1e-6
     shown = capsys.readouterr()
     assert shown.err == ""
     assert "score │ 3-200-2, Tanh" in re.sub(" +", " ", shown.out)
-    assert "as the score shows them" in shown.out
     assert shown.out.endswith(f"results in {out}\n")
 
 
-@pytest.mark.parametrize("option", ["--k-s", "--gain"])
-def test_options(command, inputs, tmp_path, option, ring_networks, largest_difference):
-    more = ("--points", inputs / "ring.csv", "--columns", "x, y", option, 0.7, "--normalise")
-    assert command("score.pth", "tangent.pth", *more, "--out", tmp_path) == 0
+@pytest.mark.parametrize(
+    ("score", "origin", "told", "warning"),
+    [
+        ("score.pth", "score", "as the score shows them", ""),
+        (
+            "untrained.pth",
+            "box",
+            "a square in their place",
+            "warning: the score shows no path; give its waypoints with --points\n",
+        ),
+    ],
+)
+def test_waypoints_may_be_recovered(command, tmp_path, capsys, score, origin, told, warning):
+    assert command(score, "tangent.pth", "--out", tmp_path) == 0
     summary = json.loads((tmp_path / "summary.json").read_text())
-    assert (summary["points"], summary["num_points"]) == ("file", 100)
-    assert (summary["gain"], summary["normalised"]) == (0.7, True)
-    field = load_field(tmp_path / "field.safetensors")
-    assert largest_difference(field, *ring_networks, gain=0.7, normalise=True) < 1e-6
-
-
-def test_the_field_can_be_followed(run, command, tmp_path):
-    assert command("score.pth", "tangent.pth", "--out", tmp_path / "ring") == 0
-    follow = ("follow", tmp_path / "ring", "--starts", 4, "--out", tmp_path / "follow")
-    assert run(*follow) == 0
-    summary = json.loads((tmp_path / "follow" / "summary.json").read_text())
-    assert summary["lap_fraction"] == 1.0
-    assert summary["recipe"] == "imported"
-
-
-def test_waypoints_that_are_not_seen_are_asked_for(command, tmp_path, capsys):
-    assert command("untrained.pth", "tangent.pth", "--out", tmp_path) == 0
+    assert (summary["points"], summary["gain"], summary["normalised"]) == (origin, 0.2, False)
+    assert origin == "score" or summary["unit_length"] == 1.0
     shown = capsys.readouterr()
-    assert "a square in their place" in shown.out
-    assert shown.err == "warning: the score shows no path; give its waypoints with --points\n"
+    assert told in shown.out
+    assert shown.err == warning
 
 
-def test_results_are_replaced_only_when_asked(command, inputs, tmp_path, capsys):
-    taken = inputs / "taken"
-    assert command("score.pth", "tangent.pth", "--out", taken) == 2
-    assert "taken already holds field.safetensors" in capsys.readouterr().err
-    assert names_in(taken) == {"field.safetensors"}
-    assert (taken / "field.safetensors").read_text() == "mine"
-    out = tmp_path / "out"
-    networks = ("score.pth", "tangent.pth", "--points", inputs / "ring.csv", "--out", out)
-    assert command(*networks) == 0
-    assert command(*networks, "--k-s", 0.4) == 2
-    assert command(*networks, "--k-s", 0.4, "--overwrite") == 0
-    assert json.loads((out / "summary.json").read_text())["gain"] == 0.4
+def test_results_are_replaced_only_when_asked(command, inputs, tmp_path, refused):
+    networks = ("--score", inputs / "score.pth", "--tangent", inputs / "tangent.pth")
+    points = ("--points", inputs / "ring.csv")
+    line = refused("import", *networks, *points, "--out", inputs / "taken")
+    assert "taken already holds field.safetensors" in line
+    (mine,) = (inputs / "taken").iterdir()
+    assert mine.read_text() == "mine"
+    (tmp_path / "field.safetensors").write_text("mine")
+    more = (*points, "--k-s", 0.4, "--overwrite", "--out", tmp_path)
+    assert command("score.pth", "tangent.pth", *more) == 0
+    assert json.loads((tmp_path / "summary.json").read_text())["gain"] == 0.4
 
 
 BAD = {
@@ -141,9 +131,13 @@ BAD = {
     "widths": (["wrong_width.pth", "tangent.pth"], ["hiddens is [64]", "[200]"]),
     "swapped": (["tangent.pth", "score.pth"], ["tangent.pth: a score network", "2 and 2"]),
     "twice": (["score.pth", "score.pth"], ["score.pth: a tangent network", "3 and 2"]),
+    "unlike": (
+        ["score.pth", "spatial_tangent.pth"],
+        ["tangent network is of 3 dimensions, the score network of 2"],
+    ),
     "no points": (
         ["spatial_score.pth", "spatial_tangent.pth"],
-        ["3 dimensions", "--points"],
+        ["recovered in the plane only", "3 dimensions", "--points"],
     ),
     "dimensions": (
         ["score.pth", "tangent.pth", "--points", "{inputs}/spatial.txt"],
@@ -157,8 +151,14 @@ BAD = {
         ["score.pth", "tangent.pth", "--columns", "x,y"],
         ["--columns x,y", "--points"],
     ),
-    "zero k_s": (["score.pth", "tangent.pth", "--k-s", "0"], ["k_s", "0.0"]),
-    "NaN k_s": (["score.pth", "tangent.pth", "--k-s", "nan"], ["k_s", "nan"]),
+    "zero k_s": (
+        ["score.pth", "tangent.pth", "--points", "{inputs}/ring.csv", "--k-s", "0"],
+        ["k_s", "0.0"],
+    ),
+    "NaN k_s": (
+        ["score.pth", "tangent.pth", "--points", "{inputs}/ring.csv", "--k-s", "nan"],
+        ["k_s", "nan"],
+    ),
 }
 
 
@@ -172,16 +172,6 @@ def test_bad_input(refused, inputs, tmp_path, monkeypatch, arguments, expected):
     for text in expected:
         assert text in line
     # Neither results, nor the trace of a pickle that was executed.
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("missing", ["--score", "--tangent", "--out"])
-def test_what_has_to_be_given(run, missing, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    given = {"--score": "a.pth", "--tangent": "b.pth", "--out": "out"}
-    del given[missing]
-    assert run("import", *(word for pair in given.items() for word in pair)) == 2
-    assert missing in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 

@@ -1,89 +1,93 @@
 """The figures of the commands, and the table of trajectories."""
 
+from dataclasses import replace
+
 from matplotlib.image import imread
 import numpy as np
+import pandas as pd
 import pytest
 
-from sgvf_drake.experiments import FollowResult, figures, fly_tour
+from sgvf_drake.experiments import figures, fly_tour
 
 
-def check_picture(path):
-    """A file with a picture, of which something but not everything is drawn."""
-    pixels = imread(path)[..., :3]
-    drawn = np.any(pixels < 0.9, axis=2)
-    assert min(drawn.shape) > 300
-    assert 0.005 < drawn.mean() < 0.9
-    # Every quarter of it holds something: no panel stayed empty.
-    rows, columns = drawn.shape[0] // 2, drawn.shape[1] // 2
-    for quarter in (
-        *(drawn[:rows, :columns], drawn[:rows, columns:]),
-        *(drawn[rows:, :columns], drawn[rows:, columns:]),
-    ):
-        assert quarter.mean() > 0.002
+@pytest.fixture
+def check_picture(tmp_path):
+    """Saves a figure, of which something but not everything is drawn."""
+
+    def check(figure):
+        figure.savefig(tmp_path / "a.png")
+        drawn = np.any(imread(tmp_path / "a.png")[..., :3] < 0.9, axis=2)
+        assert min(drawn.shape) > 300
+        assert 0.005 < drawn.mean() < 0.9
+        # Every quarter of it holds something: no panel stayed empty.
+        for half in np.array_split(drawn, 2):
+            for quarter in np.array_split(half, 2, axis=1):
+                assert quarter.mean() > 0.002
+
+    return check
 
 
-def test_training_figure(tmp_path, flight_result):
-    figure = figures.training_figure(flight_result.field, flight_result.history)
-    figure.savefig(tmp_path / "a.png")
-    check_picture(tmp_path / "a.png")
-
-
-def test_follow_figure(tmp_path, flight_field, followed):
-    figures.follow_figure(flight_field, followed).savefig(tmp_path / "a.png")
-    check_picture(tmp_path / "a.png")
-
-
-def test_flight_figure(tmp_path, flight_field, flown):
+def test_figures_of_training_following_and_flying(check_picture, flight_field, followed, flown):
+    losses = {"iteration": [1, 2, 3], "total": [3.0, 2.0, 1.0], "fit": [3.0, 2.0, 1.0]}
+    history = pd.DataFrame({"stage": "tangent", **losses})
+    figure = figures.training_figure(flight_field, history)
+    assert len(figure.axes) == 2
+    check_picture(figure)
+    check_picture(figures.follow_figure(flight_field, followed))
     flight = flown.fast.flights[0]
-    figure = figures.flight_figure(flight_field, flight_field.cloud, flight, flown.fast)
-    figure.savefig(tmp_path / "a.png")
-    check_picture(tmp_path / "a.png")
+    check_picture(figures.flight_figure(flight_field, flight_field.cloud, flight, flown.fast))
 
 
-def test_tour_figure(tmp_path, flight_field, rings):
+def test_tour_figure(check_picture, flight_field, rings):
     tour = fly_tour(flight_field, rings, (0, 1), speed=2.0)
     figure = figures.tour_figure(flight_field, flight_field.cloud, tour)
-    plane, error, velocity, forces = figure.axes
+    plane, *timelines = figure.axes
     assert "pieces 1, 2" in plane.get_title()
     (transfer,) = tour.transfers
     # The transfer is drawn, and shaded over time.
-    away = plane.get_lines()[-2].get_ydata()
+    away = plane.get_lines()[-1].get_ydata()
     assert 0 < np.isfinite(away).sum() < len(tour.log)
-    for timeline in (error, velocity, forces):
+    for timeline in timelines:
         (shade,) = timeline.collections
         begin, end = shade.get_datalim(timeline.transData).intervalx
         np.testing.assert_allclose(
             [begin, end], [transfer["begin_s"], transfer["end_s"]], atol=1e-6
         )
-    figure.savefig(tmp_path / "a.png")
-    check_picture(tmp_path / "a.png")
-
-
-def test_the_table_holds_every_trajectory(followed):
-    table = figures.trajectory_table(followed)
-    assert list(table.columns) == ["agent", "time", "x", "y", "cross_track_error"]
-    steps, agents, _ = followed.positions.shape
-    assert len(table) == steps * agents
-    one = table[table["agent"] == 5]
-    np.testing.assert_array_equal(one["time"], followed.times)
-    np.testing.assert_array_equal(one[["x", "y"]], followed.positions[:, 5])
-    np.testing.assert_array_equal(one["cross_track_error"], followed.errors[:, 5])
+    check_picture(figure)
 
 
 @pytest.mark.parametrize(
-    ("dim", "names"), [(3, ["x", "y", "z"]), (4, ["x0", "x1", "x2", "x3"])]
+    ("open_", "title"),
+    [
+        ([False] * 3, "2 of 3 starts complete a lap"),
+        ([True] * 3, "2 of 3 starts come to rest at the end"),
+        ([False, True, True], "2 of 3 starts complete a lap or come to rest at the end"),
+    ],
 )
-def test_the_table_names_the_coordinates(rings, followed, dim, names):
+def test_the_figure_says_what_the_agents_are_to_do(flight_field, followed, open_, title):
+    is_open, good = np.array(open_), np.array([True, True, False])
+    metrics = replace(
+        followed.metrics, open=is_open, lapped=good & ~is_open, ended=good & is_open
+    )
+    three = replace(
+        followed,
+        positions=followed.positions[:, :3],
+        errors=followed.errors[:, :3],
+        metrics=metrics,
+    )
+    assert figures.follow_figure(flight_field, three).axes[0].get_title() == title
+
+
+@pytest.mark.parametrize(
+    ("dim", "names"), [(2, ["x", "y"]), (3, ["x", "y", "z"]), (4, ["x0", "x1", "x2", "x3"])]
+)
+def test_the_table_holds_every_trajectory(followed, dim, names):
     steps, agents, _ = followed.positions.shape
     positions = np.arange(steps * agents * dim, dtype=float).reshape(steps, agents, dim)
-    result = FollowResult(
-        followed.times,
-        positions,
-        followed.errors,
-        followed.metrics,
-        followed.speed_on_path,
-        1.0,
-    )
-    table = figures.trajectory_table(result)
-    assert list(table.columns[2:-1]) == names
-    assert table[names].iloc[1].tolist() == positions[0, 1].tolist()
+    table = figures.trajectory_table(replace(followed, positions=positions))
+    assert list(table.columns) == ["agent", "time", *names, "cross_track_error"]
+    assert len(table) == steps * agents
+    one = table[table["agent"] == 5]
+    np.testing.assert_array_equal(one["time"], followed.times)
+    np.testing.assert_array_equal(one[names], positions[:, 5])
+    np.testing.assert_array_equal(one["cross_track_error"], followed.errors[:, 5])

@@ -2,12 +2,11 @@ import json
 
 from matplotlib.image import imread
 import numpy as np
-import pandas as pd
 import pytest
 import torch
 
-from sgvf_drake import ConfigurationError, FieldFileError, OutputExistsError, PointCloud
-from sgvf_drake.experiments import choose_reference, fly, open_field, run_follow
+from sgvf_drake import PointCloud
+from sgvf_drake.experiments import choose_reference, fly, follow, open_field
 from sgvf_drake.experiments.importing import run_import
 
 RADIUS = 3.0
@@ -23,17 +22,16 @@ def files(tmp_path_factory, ring_networks, make_sequential):
     torch.save(tangent.state_dict(), folder / "tangent.pth")
     torch.save(make_sequential([4, 8, 3]).state_dict(), folder / "spatial_score.pth")
     torch.save(make_sequential([3, 8, 3]).state_dict(), folder / "spatial_tangent.pth")
-    torch.save(make_sequential([3, 8, 2]).state_dict(), folder / "untrained.pth")
     angle = 2 * np.pi * np.arange(100) / 100
-    ring = pd.DataFrame({"east": RADIUS * np.cos(angle), "north": RADIUS * np.sin(angle)})
-    ring.insert(0, "time", np.arange(100))
-    ring.to_csv(folder / "ring.csv", index=False)
-    points = np.random.default_rng(0).uniform(-1, 1, (30, 3))
-    np.savetxt(folder / "spatial.txt", points)
+    ring = np.column_stack([angle, RADIUS * np.cos(angle), RADIUS * np.sin(angle)])
+    np.savetxt(folder / "ring.csv", ring, delimiter=",", header="time,east,north", comments="")
+    np.savetxt(folder / "spatial.txt", np.random.default_rng(0).uniform(-1, 1, (30, 3)))
     return folder
 
 
 def run(files, out, score="score.pth", tangent="tangent.pth", **options):
+    if "points" in options:
+        options["points"] = files / options["points"]
     return run_import(files / score, files / tangent, out, **options)
 
 
@@ -46,9 +44,8 @@ def imported(files, tmp_path_factory):
 
 def test_what_is_left(imported, ring_networks, largest_difference):
     out, summary = imported
-    assert {path.name for path in out.iterdir()} == {
-        *("summary.json", "field.safetensors", "field.png")
-    }
+    names = {path.name for path in out.iterdir()}
+    assert names == {"summary.json", "field.safetensors", "field.png"}
     assert json.loads((out / "summary.json").read_text()) == summary
     field = open_field(out)
     assert largest_difference(field, *ring_networks) < 1e-9
@@ -80,7 +77,7 @@ def test_what_is_left(imported, ring_networks, largest_difference):
 def test_the_waypoints_of_a_file(files, tmp_path, ring_networks, largest_difference, normalise):
     options = {"gain": 0.5, "normalise": normalise}
     columns = ["east", "north"]
-    summary = run(files, tmp_path, points=files / "ring.csv", columns=columns, **options)
+    summary = run(files, tmp_path, points="ring.csv", columns=columns, **options)
     assert (summary["points"], summary["num_points"]) == ("file", 100)
     assert (summary["gain"], summary["normalised"]) == (0.5, normalise)
     field = open_field(tmp_path)
@@ -88,96 +85,27 @@ def test_the_waypoints_of_a_file(files, tmp_path, ring_networks, largest_differe
     assert largest_difference(field, *ring_networks, **options) < 1e-6
     # The noise level of the ring's score.
     assert summary["sigma"] * summary["unit_length"] == pytest.approx(0.3, rel=1e-4)
-
-
-@pytest.mark.parametrize("normalise", [False, True])
-def test_it_is_followed_like_any_other(files, imported, tmp_path, normalise):
-    out = tmp_path / "import" if normalise else imported[0]
-    if normalise:
-        run(files, out, normalise=True)
-    summary = run_follow(open_field(out), None, tmp_path / "follow", starts=16)
-    assert (summary["reference"], summary["recipe"]) == ("cloud", "imported")
-    assert summary["reach_fraction"] == summary["lap_fraction"] == 1.0
-    assert summary["stall_fraction"] == summary["leave_fraction"] == 0.0
-    # The score is zero on the circle, and the tangent along it and one long.
-    assert summary["cross_track_rms"] < 2e-3
-    assert summary["speed_on_path_min"] == pytest.approx(1.0, abs=1e-3)
+    # Followed like any other: on the circle the score is zero, and the tangent along it.
+    result = follow(field, choose_reference(field)[0], starts=4).summary()
+    assert result["reach_fraction"] == result["lap_fraction"] == 1.0
+    assert result["stall_fraction"] == result["leave_fraction"] == 0.0
+    assert result["cross_track_rms"] < 2e-3
+    assert result["speed_on_path_min"] == pytest.approx(1.0, abs=1e-3)
 
 
 def test_it_is_flown_like_any_other(imported):
     """Along a circle of 3 m; the field is widened for the vehicle, as any other."""
     field = open_field(imported[0])
-    result = fly(field, choose_reference(field)[0], speed=0.5, laps=1.0)
+    result = fly(field, choose_reference(field)[0], speed=1.0, laps=1.0)
     (flight,) = result.summary()["pieces"]
     assert flight["laps"] >= 1.0
     assert flight["cross_track_rms_m"] < 0.02
 
 
 def test_networks_of_space(files, tmp_path):
-    summary = run(
-        files,
-        tmp_path,
-        "spatial_score.pth",
-        "spatial_tangent.pth",
-        points=files / "spatial.txt",
-    )
+    networks = ("spatial_score.pth", "spatial_tangent.pth")
+    summary = run(files, tmp_path, *networks, points="spatial.txt")
     assert summary["dim"] == 3
     assert open_field(tmp_path)(np.zeros(3)).shape == (3,)
     # There is nothing to draw.
     assert {path.name for path in tmp_path.iterdir()} == {"summary.json", "field.safetensors"}
-
-
-def test_an_untrained_score_gets_a_square(files, tmp_path):
-    summary = run(files, tmp_path, "untrained.pth")
-    assert summary["points"] == "box"
-    assert summary["unit_length"] == 1.0
-
-
-@pytest.mark.parametrize(
-    ("names", "options", "error", "match"),
-    [
-        (("absent.pth",), {}, FieldFileError, r"absent\.pth: no such file"),
-        (("tangent.pth",), {}, FieldFileError, r"tangent\.pth: a score network .* not 2 and 2"),
-        (
-            ("score.pth", "score.pth"),
-            {},
-            FieldFileError,
-            r"score\.pth: a tangent network .* not 3 and 2",
-        ),
-        (
-            ("spatial_score.pth", "spatial_tangent.pth"),
-            {},
-            ConfigurationError,
-            "recovered in the plane only, .* of 3 dimensions; give them with --points",
-        ),
-        (
-            ("score.pth", "spatial_tangent.pth"),
-            {},
-            ConfigurationError,
-            "tangent network is of 3 dimensions, the score network of 2",
-        ),
-        (
-            ("score.pth",),
-            {"points": "spatial.txt"},
-            ConfigurationError,
-            r"spatial\.txt: the waypoints have 3 coordinates, the score network 2",
-        ),
-        (("score.pth",), {"gain": -1.0}, ConfigurationError, "k_s .* not -1.0"),
-    ],
-)
-def test_bad_input_leaves_nothing(files, tmp_path, names, options, error, match):
-    if "points" in options:
-        options = {**options, "points": files / options["points"]}
-    with pytest.raises(error, match=match):
-        run(files, tmp_path / "out", *names, **options)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_results_stay(files, tmp_path):
-    (tmp_path / "field.png").write_text("mine")
-    points = {"points": files / "ring.csv", "columns": "east,north"}
-    with pytest.raises(OutputExistsError, match=r"already holds field\.png"):
-        run(files, tmp_path, **points)
-    assert (tmp_path / "field.png").read_text() == "mine"
-    run(files, tmp_path, overwrite=True, **points)
-    assert (tmp_path / "field.png").read_bytes()[1:4] == b"PNG"

@@ -1,34 +1,42 @@
-"""Against the cloud itself, what counts as open is what the field was trained for."""
+"""What fields are measured against: a file, the true shape, or the cloud itself."""
+
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-import sgvf_drake as sgvf
+from sgvf_drake.exceptions import ConfigurationError, PointCloudError
 from sgvf_drake.experiments import choose_reference, scale_reference
+from sgvf_drake.paths import PointCloud, ReferencePath, TreeReference
 
 
-def trained(points, **config):
-    quick = {"recipe": "exact", "tangent_iterations": 20, "max_restarts": 0}
-    return sgvf.train(sgvf.PointCloud(points), sgvf.TrainingConfig(**quick, **config)).field
+def arc_field(degrees, has_end=False):
+    """An arc of 3 units, and where its field comes to rest."""
+    angle = np.radians(np.linspace(0, degrees, 120))
+    points = 3 * np.column_stack([np.cos(angle), np.sin(angle)])
+    ends = points[-1:] if has_end else np.empty((0, 2))
+    return SimpleNamespace(cloud=PointCloud(points), dim=2, ends=ends)
 
 
-def arc(degrees, count=120):
-    angle = np.radians(np.linspace(0, degrees, count))
-    return 3 * np.column_stack([np.cos(angle), np.sin(angle)])
+def test_a_named_shape_is_measured_against_the_truth_and_other_clouds_against_their_tree(
+    flight_field,
+):
+    lengths = 2 * np.pi * np.array([1.0, 2.0])
+    reference, kind = choose_reference(flight_field)
+    assert kind == "shape"
+    np.testing.assert_allclose(reference.lengths, lengths, rtol=1e-5)
+    reference, kind = choose_reference(flight_field.rescaled(2.0))
+    assert kind == "cloud"
+    assert isinstance(reference, TreeReference)
+    np.testing.assert_allclose(sorted(reference.lengths), 2 * lengths, rtol=1e-2)
 
 
 @pytest.mark.parametrize(
-    ("degrees", "config", "closed"),
-    [
-        (357, {}, True),
-        (357, {"open": True}, False),
-        (200, {}, False),
-    ],
+    ("degrees", "has_end", "closed"),
+    [(355, False, True), (355, True, False), (200, True, False)],
 )
-def test_the_tree_is_open_where_the_field_has_an_end(degrees, config, closed):
-    field = trained(arc(degrees), **config)
-    assert len(field.ends) == (not closed)
-    reference, kind = choose_reference(field)
+def test_the_tree_is_open_where_the_field_has_an_end(degrees, has_end, closed):
+    reference, kind = choose_reference(arc_field(degrees, has_end))
     assert kind == "cloud"
     assert reference.closed.tolist() == [closed]
     travelled = 3 * np.radians(degrees)
@@ -37,12 +45,38 @@ def test_the_tree_is_open_where_the_field_has_an_end(degrees, config, closed):
     assert reference.longest == pytest.approx(travelled + closed * chord, rel=1e-3)
 
 
-def test_a_scaled_tree_keeps_its_pieces():
-    reference, _ = choose_reference(trained(arc(357), open=True))
-    scaled = scale_reference(reference, 0.01)
-    assert scaled.closed.tolist() == [False]
-    assert scaled.longest == pytest.approx(0.01 * reference.longest)
+def test_the_tree_of_a_trained_field_is_open_as_it_was_trained(open_field, exact_field):
+    for field, closed in ((open_field, [False]), (exact_field.rescaled(2.0), [True, True])):
+        assert choose_reference(field)[0].closed.tolist() == closed
+
+
+def test_a_file_comes_first(tmp_path, flight_field):
+    file = tmp_path / "path.csv"
+    file.write_text("x_m,y_m,speed\n0,0,1\n1,0,1\n1,1,1\n")
+    reference, kind = choose_reference(flight_field, file)
+    assert kind == "file"
+    assert isinstance(reference, ReferencePath)
+    assert reference.longest == 2.0
+    closed, _ = choose_reference(flight_field, file, closed=True)
+    assert closed.longest == pytest.approx(2.0 + np.sqrt(2.0))
+    swapped, _ = choose_reference(flight_field, file, ["speed", "x_m"])
+    assert swapped.pieces[0].vertices[0].tolist() == [1.0, 0.0]
+    file.write_text("0 0 0\n1 0 0\n1 1 1\n")
+    with pytest.raises(ConfigurationError, match=r"path.csv: .* 3 coordinates, the field 2"):
+        choose_reference(flight_field, file)
+    with pytest.raises(PointCloudError, match=r"none.csv"):
+        choose_reference(flight_field, tmp_path / "none.csv")
+
+
+def test_references_scale(rings, circle_of_points):
+    tree, _ = choose_reference(arc_field(355, has_end=True))
     x = np.random.default_rng(0).uniform(-4, 4, (50, 2))
-    here, there = reference.project(x), scaled.project(0.01 * x)
-    np.testing.assert_allclose(there.distance, 0.01 * here.distance, atol=1e-12)
-    np.testing.assert_allclose(there.arc, 0.01 * here.arc, atol=1e-9)
+    for reference in (rings, tree):
+        scaled = scale_reference(reference, 0.01)
+        assert scaled.closed.tolist() == reference.closed.tolist()
+        np.testing.assert_allclose(scaled.lengths, 0.01 * reference.lengths, rtol=1e-12)
+        here, there = reference.project(x), scaled.project(0.01 * x)
+        np.testing.assert_allclose(there.distance, 0.01 * here.distance, atol=1e-12)
+        np.testing.assert_allclose(there.arc, 0.01 * here.arc, atol=1e-9)
+    with pytest.raises(TypeError, match="cannot scale a PointCloud"):
+        scale_reference(circle_of_points(1.0), 2.0)

@@ -27,46 +27,36 @@ def meshcat(server):
     return server
 
 
-def commands_in(text):
-    """The commands of a page to the viewer, which stand there in base64."""
-    return b"".join(
+def commands_in(page):
+    """The commands of a page to the viewer, which stand there in base64.
+
+    The page needs no network, and has a scene and a recording.
+    """
+    text = page.read_text()
+    assert not re.findall(r"<(?:script|link)[^>]+(?:src|href)=[\"']https?:", text)
+    commands = b"".join(
         base64.b64decode(found) for found in re.findall(r"base64,([A-Za-z0-9+/=]{40,})", text)
     )
-
-
-def check_page(path):
-    """A page that needs no network, with a scene and a recording."""
-    text = path.read_text()
-    commands = commands_in(text)
     for part in (b"set_animation", b"/waypoints", b"/field", b"/trail"):
         assert part in commands
-    assert not re.findall(r"<(?:script|link)[^>]+(?:src|href)=[\"']https?:", text)
+    return commands
 
 
 @pytest.mark.parametrize("tube", [(), (SQUARE, 2 * SQUARE)])
 def test_what_stands_still_is_drawn(flight_field, meshcat, tube):
     FlightScene(meshcat, tube=tube).draw(flight_field, 0.45, 1.0)
-    assert meshcat.HasPath("/waypoints")
-    assert meshcat.HasPath("/field")
-    assert meshcat.HasPath("/tube") == bool(tube)
-    assert not meshcat.HasPath("/trail")
+    drawn = [meshcat.HasPath(f"/{name}") for name in ("waypoints", "field", "tube", "trail")]
+    assert drawn == [True, True, bool(tube), False]
 
 
 def test_every_flight_leaves_its_page(flight_field, rings, meshcat, tmp_path):
-    fly(flight_field, rings, speed=3.0, laps=1.0, scene=FlightScene(meshcat, tmp_path))
+    scene = FlightScene(meshcat, tmp_path)
+    fly(flight_field, rings, speed=3.0, duration=1.1, scene=scene)
+    fly_tour(flight_field, rings, (0,), duration=1.1, scene=scene)
     pages = sorted(tmp_path.iterdir())
-    assert [page.name for page in pages] == ["flight_1.html", "flight_2.html"]
+    assert [page.name for page in pages] == ["flight_1.html", "flight_2.html", "tour.html"]
     for page in pages:
-        check_page(page)
-    assert meshcat.HasPath("/trail")
-
-
-def test_a_tour_leaves_one_page(flight_field, rings, meshcat, tmp_path):
-    scene = FlightScene(meshcat, tmp_path, tube=(SQUARE,))
-    fly_tour(flight_field, rings, (0,), 2.0, scene=scene)
-    assert [page.name for page in tmp_path.iterdir()] == ["tour.html"]
-    check_page(tmp_path / "tour.html")
-    assert meshcat.HasPath("/tube")
+        commands_in(page)
 
 
 def test_the_page_of_a_flight_holds_the_proved_tube(
@@ -76,8 +66,8 @@ def test_the_page_of_a_flight_holds_the_proved_tube(
     curves = tube_curves(ring_field, tmp_path, 0.1)
     path = ReferencePath((Piece(0.1 * ring_field.cloud.points, closed=True),))
     scene = FlightScene(meshcat, tmp_path, tube=curves)
-    fly(ring_field.rescaled(0.1), path, speed=2.0, laps=1.0, scene=scene)
-    commands = commands_in((tmp_path / "flight_1.html").read_text())
+    fly(ring_field.rescaled(0.1), path, duration=1.1, scene=scene)
+    commands = commands_in(tmp_path / "flight_1.html")
     # Its points are told as float32, three to each end of a segment.
     drawn = commands[commands.index(b"/tube") :]
     for curve in curves:
@@ -85,29 +75,24 @@ def test_the_page_of_a_flight_holds_the_proved_tube(
             assert np.array([x, y, 1.0], np.float32).tobytes() in drawn
 
 
-@pytest.mark.parametrize("sensors", [None, SensorParameters()])
-def test_to_watch_a_flight_does_not_change_it(flight_field, rings, meshcat, sensors):
+def test_to_watch_a_flight_does_not_change_it(flight_field, rings, meshcat):
     inner = ReferencePath(rings.pieces[:1])
 
-    def flown(scene):
-        (flight,) = fly(
-            flight_field, inner, 2.0, 1.0, sensors=sensors, seed=2, scene=scene
-        ).flights
-        return flight.log
+    def flown(scene, sensors):
+        options = {"speed": 2.0, "duration": 2.0, "sensors": sensors, "seed": 2}
+        return fly(flight_field, inner, scene=scene, **options).flights[0].log
 
-    # Publishing cuts the integrator's steps; see the tests of the visualization.
-    pd.testing.assert_frame_equal(
-        flown(FlightScene(meshcat)), flown(None), check_exact=False, rtol=0.0, atol=1e-6
-    )
+    def toured(scene):
+        options = {"speed": 2.0, "duration": 4.0}
+        return fly_tour(flight_field, rings, (0, 1), scene=scene, **options).log
+
+    for watched, alone in (
+        *((flown(FlightScene(meshcat), s), flown(None, s)) for s in (None, SensorParameters())),
+        (toured(FlightScene(meshcat)), toured(None)),
+    ):
+        # Publishing cuts the integrator's steps; see the tests of the visualization.
+        pd.testing.assert_frame_equal(watched, alone, check_exact=False, rtol=0.0, atol=1e-6)
     assert meshcat.HasPath("/trail")
-
-
-def test_to_watch_a_tour_does_not_change_it(flight_field, rings, meshcat):
-    watched, alone = (
-        fly_tour(flight_field, rings, (0, 1), 2.0, scene=scene).log
-        for scene in (FlightScene(meshcat), None)
-    )
-    pd.testing.assert_frame_equal(watched, alone, check_exact=False, rtol=0.0, atol=1e-6)
 
 
 @pytest.mark.parametrize(("live", "rate"), [(True, 1.0), (False, 0.0)])

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from sgvf_drake.experiments.flight_log import FORCE_COLUMNS
-from sgvf_drake.experiments.fly import TAKE_OFF_S
+from sgvf_drake.experiments.flight import FORCE_COLUMNS, TAKE_OFF_S
 
 VELOCITY_COLUMNS = ("vx", "vy", "vz")
 

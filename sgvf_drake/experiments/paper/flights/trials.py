@@ -54,8 +54,8 @@ def measure_flight(trial: FlightTrial, folder: Path) -> Row:
             field,
             path,
             trial.tour,
-            trial.speed,
-            trial.laps,
+            speed=trial.speed,
+            laps=trial.laps,
             sensors=sensors,
             seed=trial.seed,
         )

@@ -1,0 +1,373 @@
+"""One flight of the quadrotor: what is asked for, its simulation and its log."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass, field, replace
+import time
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Context, Diagram
+
+from sgvf_drake.arrays import FloatArray
+from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
+from sgvf_drake.experiments.scene import FlightScene
+from sgvf_drake.experiments.simulation import advance, read_log
+from sgvf_drake.fields import GuidingField
+from sgvf_drake.lyapunov import LyapunovFunction
+from sgvf_drake.metrics import REST_WINDOW
+from sgvf_drake.paths import Reference, ReferencePath, TreeReference
+from sgvf_drake.progress import Progress, no_progress
+from systems import (
+    FieldForSpeed,
+    MakeFlightDiagram,
+    MakeSimulator,
+    QuadrotorParameters,
+    SensorParameters,
+    SetHover,
+    SetNoiseSeed,
+    StopOnExit,
+    SublevelExit,
+)
+from systems.guidance import DEFAULT_ALTITUDE, DEFAULT_SPEED
+
+LOG_PERIOD = 0.01
+POSITION_COLUMNS = ("x", "y", "z")
+VELOCITY_COLUMNS = ("vx", "vy", "vz")
+STATE_COLUMNS = (
+    *(*POSITION_COLUMNS, "roll", "pitch", "yaw"),
+    *(*VELOCITY_COLUMNS, "roll_rate", "pitch_rate", "yaw_rate"),
+)
+COMMAND_COLUMNS = ("vx_command", "vy_command", "vz_command")
+FORCE_COLUMNS = ("force_1", "force_2", "force_3", "force_4")
+
+# The vehicle hovers this many U beside the path at the start.
+START_OFFSET = 0.5
+# Time is added for a way in of this many U, and on an open piece for coming to rest.
+WAY_IN = 4.0
+REST_S = 3.0
+# Time for the take-off, after which motion is judged.
+TAKE_OFF_S = 1.0
+# Waypoints are noisy; the direction of an end is that of this many U of the piece.
+END_SECTION = 1.0
+# A flight that may be over before its time is looked at this often, s.
+LOOK_PERIOD = 0.1
+# Points of each piece of the reference at which the demand of the path is read.
+DEMAND_SAMPLES = 2_000
+
+
+@dataclass(frozen=True)
+class FlightSpec:
+    """How the quadrotor is flown.
+
+    Attributes:
+        speed: Commanded speed, m/s.
+        laps: Lengths of every closed piece that are flown, at least 1, since the last lap is
+            what is measured.
+        altitude: Height of the flight where the field is planar, m.
+        parameters: The vehicle; by default the paper's.
+        sensors: Noise, delay and rates of the measurements; None: they are ideal.
+        seed: Seed of the noise of the sensors.
+        start: Position p_WB (x, y, z) of the hover that the flight starts from, m; None:
+            beside the path, see `hover_start`.
+        duration: Time of the flight, longer than the take-off, s; None: enough for the path.
+
+    Raises:
+        ConfigurationError: If the speed, the laps, the altitude or the duration cannot be used.
+    """
+
+    speed: float = DEFAULT_SPEED
+    laps: float = 2.0
+    altitude: float = DEFAULT_ALTITUDE
+    parameters: QuadrotorParameters = field(default_factory=QuadrotorParameters)
+    sensors: SensorParameters | None = None
+    seed: int = 0
+    start: tuple[float, ...] | None = None
+    duration: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, value in (("speed", self.speed), ("altitude", self.altitude)):
+            if not (np.isfinite(value) and value > 0):
+                raise ConfigurationError(f"the {name} must be a positive number, not {value}")
+        if not (np.isfinite(self.laps) and self.laps >= 1):
+            raise ConfigurationError(f"the number of laps must be at least 1, not {self.laps}")
+        if self.duration is not None and not TAKE_OFF_S < self.duration < np.inf:
+            raise ConfigurationError(
+                f"the duration must be longer than {TAKE_OFF_S:g} s, the time for the "
+                f"take-off, not {self.duration}"
+            )
+
+    def along(self, field: GuidingField, reference: Reference, piece: int) -> "FlightSpec":
+        """Returns the spec with a start beside a piece and time to fly along it.
+
+        The time is that for the laps of a closed piece, or to the end of an open one and to
+        come to rest there.  What this spec sets already stays.
+        """
+        start, duration = self.start, self.duration
+        if start is None:
+            start = tuple(hover_start(field, reference, piece, self.altitude).tolist())
+        if duration is None:
+            length, unit = float(reference.lengths[piece]), field.cloud.unit_length
+            if reference.closed[piece]:
+                duration = TAKE_OFF_S + (self.laps * length + WAY_IN * unit) / self.speed
+            else:
+                way = length + (WAY_IN + REST_WINDOW) * unit
+                duration = TAKE_OFF_S + way / self.speed + REST_S
+        return replace(self, start=start, duration=duration)
+
+
+def hover_start(
+    field: GuidingField, reference: Reference, piece: int, altitude: float
+) -> FloatArray:
+    """Returns a position (3,) beside a piece, from which all of it can be flown.
+
+    On a closed piece it is beside the first point, away from the middle.  On an open one it
+    is before the start, in line with the first part of the piece; where the field comes to
+    rest at the first of its points, it starts at the last.
+
+    Args:
+        field: The field, in metres.
+        reference: Holds the piece, in metres.
+        piece: Its number.
+        altitude: The third coordinate for a planar piece, m.
+    """
+    if isinstance(reference, TreeReference):
+        points = reference.points[reference.pieces[piece].order]
+    else:
+        assert isinstance(reference, ReferencePath)
+        points = reference.pieces[piece].vertices
+    unit, ends = field.cloud.unit_length, field.ends
+    middle = points.mean(axis=0)
+    if not reference.closed[piece]:
+        if len(ends):
+            first, last = (
+                np.linalg.norm(ends - point, axis=1).min() for point in points[[0, -1]]
+            )
+            points = points[::-1] if first < last else points
+        far = np.linalg.norm(points - points[0], axis=1) > END_SECTION * unit
+        count = int(np.argmax(far)) if far.any() else len(points)
+        middle = points[: max(count, 2)].mean(axis=0)
+    outward = points[0] - middle
+    outward /= max(float(np.linalg.norm(outward)), 1e-12)
+    start = points[0] + START_OFFSET * unit * outward
+    return start if len(start) == 3 else np.append(start, altitude)
+
+
+def flown_pieces(field: GuidingField, reference: Reference) -> list[int]:
+    """Returns the pieces long enough to fly: all but stray points, shorter than one U.
+
+    Raises:
+        ConfigurationError: If there is none.
+    """
+    pieces = np.flatnonzero(reference.lengths >= field.cloud.unit_length).tolist()
+    if not pieces:
+        raise ConfigurationError(
+            f"nothing to fly: the reference is only {reference.longest:g} m long, "
+            f"the waypoints span {2 * field.cloud.half_extent:g} m"
+        )
+    return pieces
+
+
+@dataclass(frozen=True)
+class Feasibility:
+    """Whether the thrust allows a speed on the path.
+
+    Attributes:
+        demand: Largest speed^2 |J m| on the path, m/s^2: the acceleration of a vehicle
+            that moves exactly along the field.
+        limit: Horizontal acceleration that the thrust allows in level flight, m/s^2.
+    """
+
+    demand: float
+    limit: float
+
+    @property
+    def is_feasible(self) -> bool:
+        """Whether the demand stays below the limit."""
+        return self.demand < self.limit
+
+
+def check_feasibility(
+    field: GuidingField, reference: Reference, speed: float, parameters: QuadrotorParameters
+) -> Feasibility:
+    """Compares the acceleration that the path demands with what the thrust allows.
+
+    The demand is that of the field as it is flown; see `systems.FieldForSpeed`.
+    """
+    if isinstance(reference, ReferencePath):
+        points = np.concatenate([piece.sample(DEMAND_SAMPLES) for piece in reference.pieces])
+    else:
+        points = field.cloud.points
+    m, J = FieldForSpeed(field, speed).value_and_jacobian(points)
+    turning = np.linalg.norm(np.einsum("nij,nj->ni", J, m), axis=1)
+    return Feasibility(speed**2 * float(turning.max()), parameters.max_horizontal_acceleration)
+
+
+class SimulatedFlight(NamedTuple):
+    """What a simulation of a flight gives.
+
+    Attributes:
+        log: One row a sample of 10 ms: as `flight_log` returns it, and the cross-track error
+            from the reference (m).
+        wall_s: Wall time of the simulation, s.
+        is_over: Whether the flight was over before its time.
+        exit: Where and when the vehicle left the sublevel set that it was to stay in, which
+            ended the flight; None: it did not, or there was none.
+        feasibility: The demand of the path at the commanded speed.
+    """
+
+    log: pd.DataFrame
+    wall_s: float
+    is_over: bool
+    exit: SublevelExit | None
+    feasibility: Feasibility
+
+
+def simulate(
+    field: GuidingField,
+    reference: Reference,
+    spec: FlightSpec,
+    piece: int,
+    *,
+    supervisor: Any = None,
+    is_over: Callable[[Context], bool] | None = None,
+    rest: float = 0.0,
+    lyapunov: LyapunovFunction | None = None,
+    level: float = np.inf,
+    scene: FlightScene | None = None,
+    progress: Progress = no_progress,
+) -> SimulatedFlight:
+    """Flies from a hover beside a piece of a path until the duration of a spec has passed.
+
+    Args:
+        field: The field, in metres; planar or spatial.
+        reference: What the flight is measured against, in metres.
+        spec: The flight; its start and duration are those of `FlightSpec.along` where open.
+        piece: Number of the piece.
+        supervisor: Stands between guidance and controller, for a tour; None: there is none.
+        is_over: Tells from the root Context whether the flight is over before its duration
+            has passed; asked every 0.1 s.  None: it never is.
+        rest: Time for which a flight that is over flies on, s.
+        lyapunov: V, in metres, which is logged; None: there is none.
+        level: The flight ends when the vehicle leaves {V <= level}, once it has been inside.
+        scene: Shows the flight, and records it in a page; None: nothing does.
+        progress: Is told how far the simulation is.
+
+    Raises:
+        ConfigurationError: If the field is neither planar nor spatial, or if the vehicle lost
+            control.
+        NonFiniteValueError: If a value in the loop became NaN or infinite.
+    """
+    spec = spec.along(field, reference, piece)
+    assert spec.start is not None
+    assert spec.duration is not None
+    feasibility = check_feasibility(field, reference, spec.speed, spec.parameters)
+    diagram = MakeFlightDiagram(
+        field,
+        spec.parameters,
+        speed=spec.speed,
+        altitude=spec.altitude,
+        log_period=LOG_PERIOD,
+        sensors=spec.sensors,
+        supervisor=supervisor,
+        lyapunov=lyapunov,
+        level=level,
+        meshcat=None if scene is None else scene.meshcat,
+    )
+    simulator = MakeSimulator(diagram)
+    context = simulator.get_mutable_context()
+    SetHover(diagram, context, spec.start)
+    SetNoiseSeed(diagram, context, spec.seed)
+    watch = None if lyapunov is None else StopOnExit(simulator)
+    over, where, page = False, f"piece {piece + 1}", f"flight_{piece + 1}"
+    if supervisor is not None:
+        where, page = "the tour", "tour"
+    with (
+        _lost_control_named(where, spec.speed, feasibility),
+        nullcontext() if scene is None else scene.show(simulator, page),
+    ):
+        begin = time.perf_counter()
+        if is_over is None:
+            advance(simulator, spec.duration, LOG_PERIOD, "fly", progress)
+        else:
+            over = _advance_until(simulator, is_over, rest, spec.duration, progress)
+        wall_s = time.perf_counter() - begin
+    log = flight_log(diagram, context)
+    log["cross_track_error"] = reference.project(positions_of(log, field.dim)).distance
+    left = None if watch is None else watch.exit
+    return SimulatedFlight(log, wall_s, over, left, feasibility)
+
+
+@contextmanager
+def _lost_control_named(where: str, speed: float, feasibility: Feasibility) -> Iterator[None]:
+    """Makes one clear error of a flight inside that loses control of the vehicle."""
+    try:
+        yield
+    except (RuntimeError, NonFiniteValueError) as error:
+        # How Drake's plant shows that it is out of control: a pitch of 90 degrees.
+        if feasibility.is_feasible and "gimbal-lock" not in str(error):
+            raise
+        raise ConfigurationError(
+            f"the quadrotor lost control on {where} at {speed:g} m/s, where "
+            f"the path demands {feasibility.demand:.1f} m/s^2 and the thrust allows "
+            f"{feasibility.limit:.1f} m/s^2; choose a lower speed"
+        ) from error
+
+
+def _advance_until(
+    simulator: Simulator,
+    is_over: Callable[[Context], bool],
+    rest: float,
+    duration: float,
+    progress: Progress,
+) -> bool:
+    """Advances until a flight is over, and rests; returns whether it was within its time."""
+    for look in range(1, int(np.ceil(duration / LOOK_PERIOD)) + 1):
+        now = look * LOOK_PERIOD
+        simulator.AdvanceTo(now)
+        progress("fly", now, duration)
+        if is_over(simulator.get_context()):
+            simulator.AdvanceTo(now + rest)
+            return True
+    return False
+
+
+def flight_log(diagram: Diagram, context: Context) -> pd.DataFrame:
+    """Returns what the logs of a flight diagram hold, as one table of one row a sample.
+
+    Its columns are the time (s), the state (x ... yaw_rate, SI), the velocity command (m/s)
+    and the propeller forces (N); with a supervisor its mode and branch; and with a Lyapunov
+    function V and V_dot (1/s).
+
+    Args:
+        diagram: From `systems.MakeFlightDiagram`, with logs.
+        context: Of the diagram.
+    """
+    times, _ = read_log(diagram, context, "state_log")
+    tables = [pd.DataFrame({"time": times})]
+    for name, columns in (
+        ("state", STATE_COLUMNS),
+        ("velocity_command", COMMAND_COLUMNS),
+        ("propeller_force", FORCE_COLUMNS),
+        ("mode", ("mode",)),
+        ("branch", ("branch",)),
+        ("V", ("V",)),
+        ("V_dot", ("V_dot",)),
+    ):
+        if diagram.HasSubsystemNamed(f"{name}_log"):
+            _, values = read_log(diagram, context, f"{name}_log")
+            tables.append(pd.DataFrame(values, columns=list(columns)))
+    log = pd.concat(tables, axis=1)
+    return log.astype({name: int for name in ("mode", "branch") if name in log})
+
+
+def positions_of(log: pd.DataFrame, dim: int) -> FloatArray:
+    """Returns the first coordinates of p_WB, (T, dim) in m."""
+    return log[list(POSITION_COLUMNS[:dim])].to_numpy()
+
+
+def velocities_of(log: pd.DataFrame, dim: int = 3) -> FloatArray:
+    """Returns the first coordinates of v_WB, (T, dim) in m/s."""
+    return log[list(VELOCITY_COLUMNS[:dim])].to_numpy()

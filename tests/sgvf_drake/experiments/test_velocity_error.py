@@ -1,0 +1,390 @@
+"""The velocity error of flights: against e* sampled on a circle, and against a certificate."""
+
+from dataclasses import replace
+import json
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from sgvf_drake.certificate import Conditions
+from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.experiments import (
+    CertifiedField,
+    as_flown,
+    flight_margin,
+    flight_tracking,
+    fly,
+    tracking_figure,
+)
+from sgvf_drake.experiments.figures.certificate import certificate_figure
+from sgvf_drake.experiments.fly import PieceFlight
+from sgvf_drake.experiments.results import write_summary
+from sgvf_drake.experiments.theorem import level_set_points
+from sgvf_drake.experiments.velocity_error import NOT_COVERED, margin_summary
+from sgvf_drake.fields import Perceptron
+from sgvf_drake.fields.storage import field_digest
+from sgvf_drake.lyapunov import LyapunovFunction, Margins
+from sgvf_drake.paths import Piece, ReferencePath
+from systems import FieldForSpeed
+
+# Against e* that is sampled: flights along the circle of 1 m.
+
+SPEED = 0.45
+C_IN, LEVEL = 0.06, 0.5
+LEVELS = np.geomspace(0.02, 8.0, 12)
+
+
+def margins_with(e_star, levels=LEVELS):
+    return Margins(
+        levels, np.asarray(e_star), np.zeros((len(levels), 2)), np.zeros(len(levels))
+    )
+
+
+@pytest.fixture(scope="module")
+def V(flight_field):  # noqa: N802
+    return LyapunovFunction.of(flight_field)
+
+
+@pytest.fixture(scope="module")
+def inner(rings):
+    """The circle of 1 m alone."""
+    return ReferencePath(rings.pieces[:1])
+
+
+@pytest.fixture(scope="module")
+def margins(flight_field, V):
+    """e* of the field as it is flown, at 400 random points of each level set."""
+    flown, rng, e_star = FieldForSpeed(flight_field, SPEED), np.random.default_rng(0), []
+    for level in LEVELS:
+        x = level_set_points(V, level, 400, rng)
+        gradient = V.gradient(x)
+        inward = -(gradient * flown(x)).sum(axis=1) / np.linalg.norm(gradient, axis=1)
+        e_star.append(inward.min())
+    return margins_with(e_star)
+
+
+@pytest.fixture(scope="module")
+def tracked(flight_field, V, inner, margins):
+    values = {"c_in": C_IN, "level": LEVEL, "duration": 6.0}
+    return flight_tracking(flight_field, inner, SPEED, V, margins, **values)
+
+
+def test_the_error_is_to_the_command_that_the_flight_was_given(tracked, flight_field, inner, V):
+    (flight,) = tracked.flights
+    (other,) = fly(flight_field, inner, speed=SPEED, duration=6.0).flights
+    log = flight.log
+    assert set(log.columns) == {*other.log.columns, "V", "V_dot", "error"}
+    pd.testing.assert_frame_equal(log[other.log.columns], other.log, check_exact=True)
+    assert flight.exit is None
+    x, v = log[["x", "y"]].to_numpy(), log[["vx", "vy"]].to_numpy()
+    np.testing.assert_array_equal(log["V"], V(x))
+    np.testing.assert_allclose(log["V_dot"], V.derivative(x, v), rtol=1e-9, atol=1e-12)
+    # A command holds from its sample on, so the log shows it in the next row.
+    command = log[["vx_command", "vy_command"]].to_numpy()[1:]
+    expected = np.linalg.norm(v[:-1] - command, axis=1)
+    np.testing.assert_allclose(SPEED * log["error"][:-1], expected, atol=1e-12)
+    # At take-off the vehicle stands.
+    assert log["error"][0] == pytest.approx(1.0, rel=0.01)
+
+
+def test_the_error_is_covered_by_the_margin(tracked):
+    summary, (flight,) = tracked.summary(), tracked.flights
+    (piece,) = summary["pieces"]
+    assert summary["covered"] is piece["covered"] is summary["stayed"] is True
+    assert summary["tolerated_error_m_s"] == SPEED * tracked.margins.at(LEVEL)
+    # About half of the speed is tolerated, and a tenth of it occurs, on the way in.
+    assert 0.3 * SPEED < summary["tolerated_error_m_s"] < 0.7 * SPEED
+    assert 0.01 < summary["tracking_error_max_m_s"] < 0.1
+    assert piece["tracking_error_50_percent_m_s"] < 0.002
+    assert piece["tracking_error_99_percent_m_s"] <= piece["tracking_error_max_m_s"]
+    # The settled part begins with the entry and lasts.
+    log, first = flight.log, int(np.argmax(flight.settled))
+    assert 50 < first < 300
+    assert flight.settled[first:].all()
+    assert (log["V"][:first] > C_IN).all()
+    assert piece["V_max_settled"] == log["V"][first:].max() <= C_IN
+    assert piece["settled_s"] == log["time"][first]
+    # V falls wherever the error is below what its own level tolerates.
+    within = log[(log["V"] >= LEVELS[0]) & (log["V"] <= LEVELS[-1])]
+    falling = within["error"] < [tracked.margins.at(level) for level in within["V"]]
+    assert falling.sum() > 50
+    assert (within["V_dot"][falling] < 0.0).all()
+    over_time, over_V = tracking_figure(tracked).axes
+    assert len(over_time.get_lines()[0].get_ydata()) == len(log)
+    assert sum(len(line.get_ydata()) for line in over_V.get_lines()[1:4]) == len(log)
+
+
+def test_the_smallest_covering_level_is_the_first_that_tolerates_the_error(tracked):
+    largest = tracked.summary()["tracking_error_max_m_s"] / SPEED
+    for e_star, covered, smallest in (
+        (np.where(LEVELS > 1.0, 1.0, 0.0), False, LEVELS[LEVELS > 1.0][0]),
+        (np.full(len(LEVELS), 0.99 * largest), False, None),
+        (np.full(len(LEVELS), 1.01 * largest), True, LEVELS[0]),
+    ):
+        (piece,) = replace(tracked, margins=margins_with(e_star)).summary()["pieces"]
+        assert piece["covered"] is covered
+        assert piece["smallest_covering_level"] == smallest
+
+
+def test_a_flight_that_leaves_its_level_ends_there(flight_field, V, inner, tracked, tmp_path):
+    # So low that V, which varies along the path, goes above it.
+    margins = margins_with([0.1, 0.1], np.array([1e-4, 1.0]))
+    result = flight_tracking(flight_field, inner, SPEED, V, margins, c_in=2e-4, level=4e-4)
+    (flight,) = result.flights
+    left = flight.exit
+    assert left.level == 4e-4 < left.V
+    np.testing.assert_array_equal(left.V, V(left.position[None]))
+    assert flight.log["time"].iloc[-1] <= left.time < 10.0
+    summary = result.summary()
+    assert summary["stayed"] is False
+    assert summary["pieces"][0]["exit"] == str(left)
+    for one in (tracked.summary(), summary):
+        write_summary(tmp_path, one)
+        assert json.loads((tmp_path / "summary.json").read_text()) == one
+
+
+def test_a_flight_that_was_never_in_the_tube_says_so(tracked):
+    (flight,) = tracked.flights
+    never = replace(flight, settled=np.zeros_like(flight.settled))
+    summary = replace(tracked, flights=[never]).summary()
+    assert summary["tracking_error_max_m_s"] is None
+    assert summary["covered"] is False
+    assert summary["pieces"][0]["covered"] is None
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"speed": math.nan}, "speed must be a positive number"),
+        ({"level": 0.05}, r"at least c_in = 0\.06, .* not 0\.05"),
+        ({"c_in": 0.001, "level": 0.01}, r"known, 0\.02 to 8, not 0\.01"),
+        ({"level": 9.0}, r"known, 0\.02 to 8, not 9"),
+        ({"level": math.nan}, "not nan"),
+    ],
+)
+def test_bad_values_are_refused(flight_field, V, inner, margins, values, message):
+    arguments = {"speed": SPEED, "c_in": C_IN, "level": LEVEL} | values
+    with pytest.raises(ConfigurationError, match=message):
+        flight_tracking(flight_field, inner, function=V, margins=margins, **arguments)
+
+
+# Against a certificate: planted errors on a ring in closed form, and real flights.
+
+RING_SPEED, SCALE, PERIOD = 0.5, 0.25, 0.01
+
+
+@pytest.fixture
+def certified(ring_field, ring_certificate):
+    return CertifiedField(ring_field, ring_certificate, SCALE)
+
+
+def planted(certified, radius, error):
+    """The margin of a flight around a ring, at radii (units) with errors, parts of the speed.
+
+    Errors point in a direction that turns, since only their size is to count.
+    """
+    count = len(error)
+    time = PERIOD * np.arange(count)
+    angle = 0.3 * time
+    x = np.broadcast_to(radius, count)[:, None] * np.column_stack(
+        [np.cos(angle), np.sin(angle)]
+    )
+    away = np.column_stack([np.cos(7 * angle), np.sin(7 * angle)])
+    velocity = RING_SPEED * (certified.field(x) + np.asarray(error)[:, None] * away)
+    log = pd.DataFrame({"time": time, "x": SCALE * x[:, 0], "y": SCALE * x[:, 1]})
+    log = log.assign(vx=velocity[:, 0], vy=velocity[:, 1])
+    return flight_margin(certified, PieceFlight(0, log, {}), RING_SPEED)
+
+
+def radius_at(certified, level):
+    """The radius outside of the ring at which V is a level, on the first ray."""
+    r = np.linspace(4.0, 5.5, 20_001)
+    V = certified.V(np.column_stack([r, 0 * r]))
+    return r[np.argmin(np.abs(V - level))]
+
+
+def test_the_error_is_the_distance_of_the_velocity_from_the_certified_field(certified):
+    error = np.linspace(0.0, 0.3, 300)
+    margin = planted(certified, 4.2, error)
+    np.testing.assert_allclose(margin.log["error"], error, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(margin.positions, axis=1), 4.2)
+    V = LyapunovFunction.of(certified.field, certified.certificate.sigma)
+    np.testing.assert_allclose(margin.log["V"], V(margin.positions), atol=1e-9)
+    np.testing.assert_allclose(margin.log["ratio"], margin.log["error"] / margin.log["e_star"])
+    # Each level has the margin of its interval; below c_in that of the tube's border, above
+    # c_out none.
+    levels = np.array([0.0, 0.01, 0.05, 0.19, 0.21, 0.9, 1.1, 5.9, 6.1])
+    expected = [0.1, 0.1, 0.1, 0.1, 0.25, 0.25, 0.4, 0.4, 0.0]
+    np.testing.assert_array_equal(certified.e_star(levels), expected)
+
+
+def profile(value, **parts):
+    """500 samples of a value, and others from one of them on to another: s100_200=0.3."""
+    values = np.full(500, value)
+    for rows, other in parts.items():
+        begin, end = rows[1:].split("_")
+        values[int(begin) : int(end)] = other
+    return values
+
+
+def told(inside, settled_s, error_max, worst_ratio, time_outside_s, inside_from_s):
+    return {
+        "inside_margin": inside,
+        "settled_s": settled_s,
+        "error_max": error_max,
+        "worst_ratio": worst_ratio,
+        "time_outside_s": time_outside_s,
+        "inside_from_s": inside_from_s,
+    }
+
+
+# Levels that the flight is at, zero for the ring itself; its errors; and what is told of it.
+# The take-off takes a second, and e* of the tube is 0.1.
+PLANTED = {
+    "inside": (profile(0.0), profile(0.099), told(True, 1.0, 0.099, 0.99, 0.0, 0.0)),
+    "outside": (profile(0.0), profile(0.101), told(False, 1.0, 0.101, 1.01, 4.0, None)),
+    "once": (profile(0.0), profile(0.0, s300_301=0.3), told(False, 1.0, 0.3, 3.0, 0.01, 3.01)),
+    # With what V = 0.5 tolerates, and a moment of more; then into the tube.
+    "way in": (
+        profile(0.5, s200_500=0.0),
+        profile(0.2, s0_100=1.0, s150_160=0.26, s200_500=0.02),
+        told(True, 2.0, 0.02, 0.2, 0.0, 1.6),
+    ),
+    "leaves": (
+        profile(0.0, s400_450=6.5),
+        profile(0.01),
+        told(False, 1.0, 0.01, np.inf, 0.5, 4.5),
+    ),
+    "never settles": (profile(0.5), profile(0.01), told(False, None, None, None, None, 0.0)),
+}
+
+
+@pytest.mark.parametrize(("levels", "error", "expected"), PLANTED.values(), ids=PLANTED)
+def test_what_a_planted_flight_is_said_to_do(certified, tmp_path, levels, error, expected):
+    outward = {level: radius_at(certified, level) for level in np.unique(levels) if level}
+    margin = planted(certified, [outward.get(level, 4.0) for level in levels], error)
+    (piece,) = margin_summary([margin])["pieces"]
+    for name, value in expected.items():
+        assert piece[name] == (value and pytest.approx(value, abs=1e-9)), name
+    assert margin.inside is piece["inside_margin"]
+    settled = expected["settled_s"] is not None
+    assert piece["stayed_in_tube"] is (levels[200:].max() == 0.0 if settled else None)
+    assert piece["stayed_in_certified_set"] is bool(levels.max() < 6.0)
+    if expected["settled_s"] == 2.0:
+        assert piece["way_in"] == pytest.approx(
+            {
+                **{"begin_s": 1.0, "end_s": 1.99, "error_max": 0.26},
+                **{"worst_ratio": 0.26 / 0.25, "time_outside_s": 0.1},
+            }
+        )
+    write_summary(tmp_path, piece)
+
+
+def test_the_lowest_level_that_tolerates_the_error(certified):
+    for error, level in ((0.05, 0.04), (0.15, 0.2), (0.3, 1.0), (0.5, None)):
+        margin = planted(certified, 4.0, profile(0.0, s300_301=error))
+        assert margin.covering_level == level
+
+
+@pytest.fixture(scope="module")
+def flown(ring_field, ring_certificate):
+    """Margins of flights at a scale at which the field need not be made wider."""
+    path = ReferencePath((Piece(0.6 * ring_field.cloud.points, closed=True),))
+    # Its tangent is turned outward by 0.3 rad: a side wind that nobody told the vehicle of.
+    cos, sin = np.cos(0.3), np.sin(0.3)
+    network = Perceptron((np.array([[sin, -cos], [cos, sin]]),), (np.zeros(2),))
+    blown = replace(ring_field, tangent_network=network)
+    certified = CertifiedField(ring_field, ring_certificate, 0.6)
+    return [
+        flight_margin(certified, fly(field.rescaled(0.6), path, duration=8.0).flights[0], 0.45)
+        for field in (ring_field, blown)
+    ]
+
+
+def test_a_real_flight_settles_inside_the_margin_unless_in_a_wind(flown, tmp_path):
+    calm, windy = (margin.summary() for margin in flown)
+    # The last of the take-off is brought into the tube; from then on it is far inside.
+    assert calm["inside_from_s"] < 2.0
+    assert calm["error_median"] < 1e-3
+    assert calm["covering_level"] is not None
+    assert calm["stayed_in_tube"] is True
+    # At the start the vehicle stands.
+    assert flown[0].log["error"].iloc[0] == pytest.approx(1.0, abs=0.01)
+    assert windy["inside_margin"] is False
+    assert windy["inside_from_s"] is None
+    # What the field is turned by, of a unit length.
+    assert windy["error_median"] == pytest.approx(2 * np.sin(0.15), rel=0.1)
+    summary = margin_summary(flown[:1])
+    write_summary(tmp_path, summary)
+    assert json.loads((tmp_path / "summary.json").read_text()) == summary
+    assert summary["what_it_does_not_cover"] == list(NOT_COVERED)
+    assert (summary["e_star_tube"], summary["e_star_max"]) == (0.1, 0.4)
+
+
+def test_the_figure_holds_the_flight_and_its_error(certified, flown):
+    margin = flown[0]
+    figure = certificate_figure(certified.field, certified.certificate, [margin])
+    plane, near, errors = figure.axes
+    for axes in (plane, near):
+        assert axes.get_aspect() == 1.0
+        x, y = axes.get_lines()[1].get_data()
+        np.testing.assert_allclose(np.hypot(x, y)[-100:], 4.0, atol=0.05)
+    # The window from near holds the place where the flight entered the tube.
+    x, y = margin.positions[margin.settled][0]
+    assert near.get_xlim()[0] < x < near.get_xlim()[1]
+    assert near.get_ylim()[0] < y < near.get_ylim()[1]
+    *parts, covering = errors.get_lines()
+    drawn = np.concatenate([line.get_ydata() for line in parts])
+    assert len(drawn) == len(margin.log)
+    assert drawn.max() == pytest.approx(1.0, abs=0.01)
+    assert covering.get_xdata()[0] == margin.covering_level
+    assert len(certificate_figure(certified.field, certified.certificate).axes) == 2
+
+
+# Certificates.
+
+
+def test_a_certificate_is_found_by_its_file_or_folder(ring_field, ring_certificate, tmp_path):
+    file = tmp_path / "certificate.json"
+    ring_certificate.save(file)
+    for place in (file, tmp_path):
+        opened = CertifiedField.open(ring_field, place, RING_SPEED, SCALE)
+        assert opened.certificate == ring_certificate
+        assert (opened.field, opened.scale) == (ring_field, SCALE)
+
+
+def test_a_certificate_may_be_of_the_field_as_flown(ring_field, ring_certificate, tmp_path):
+    wide = as_flown(ring_field, RING_SPEED, SCALE)
+    metric = FieldForSpeed(ring_field.rescaled(SCALE), RING_SPEED)
+    assert wide.approach_length > 2 * ring_field.approach_length
+    x = np.random.default_rng(0).uniform(*ring_field.cloud.box, (200, 2))
+    np.testing.assert_allclose(wide(x), metric(SCALE * x), atol=1e-12)
+    # Slow or large enough, it is flown as it is.
+    assert as_flown(ring_field, RING_SPEED, 1.0) is ring_field
+    file = tmp_path / "wide.json"
+    replace(ring_certificate, field_digest=field_digest(wide)).save(file)
+    opened = CertifiedField.open(ring_field, file, RING_SPEED, SCALE)
+    assert opened.field(x) == pytest.approx(wide(x))
+    with pytest.raises(ConfigurationError, match=r"wide\.json is the certificate of another"):
+        CertifiedField.open(ring_field, file, 2 * RING_SPEED, SCALE)
+
+
+def test_what_is_no_certificate(ring_field, ring_certificate, tmp_path):
+    for place in (tmp_path, tmp_path / "none"):
+        with pytest.raises(ConfigurationError, match=f"no certificate in {place}"):
+            CertifiedField.open(ring_field, place, RING_SPEED)
+    file = tmp_path / "certificate.json"
+    replace(ring_certificate, levels=(), e_star=(), reason="a sink").save(file)
+    with pytest.raises(ConfigurationError, match=r"certificate\.json proves nothing: a sink"):
+        CertifiedField.open(ring_field, tmp_path, RING_SPEED)
+
+
+def test_levels_are_those_of_the_certificate(certified):
+    # What the certificate takes off is not found anew.
+    x = np.random.default_rng(0).uniform(-4.5, 4.5, (2500, 2))
+    conditions = certified.certificate.conditions
+    shifted = Conditions(**{**vars(conditions), "lowest": conditions.lowest - 0.5})
+    other = replace(certified, certificate=replace(certified.certificate, conditions=shifted))
+    np.testing.assert_allclose(other.V(x), certified.V(x) + 0.5)
