@@ -12,9 +12,8 @@ import numpy as np
 
 from sgvf_drake.arrays import BoolArray, FloatArray, IntArray
 from sgvf_drake.certificate.boxes import Boxes
-from sgvf_drake.certificate.dual_model import DualModel
 from sgvf_drake.certificate.kernels import SLACK, TINY
-from sgvf_drake.certificate.taylor_model import TaylorModel
+from sgvf_drake.certificate.taylor_model import DualModel, TaylorModel
 
 # Newton's method doubles the digits in every step: enough for all of them.
 NEWTON_STEPS = 6

@@ -7,9 +7,8 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from sgvf_drake.certificate.annulus import Annulus
 from sgvf_drake.certificate.orbit_search import propose_annuli
-from sgvf_drake.certificate.trapping import is_trapping
+from sgvf_drake.certificate.orbits import Annulus, is_trapping
 
 from .conftest import circle
 

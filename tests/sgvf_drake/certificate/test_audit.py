@@ -6,8 +6,8 @@ from flint import arb
 import numpy as np
 import pytest
 
+from sgvf_drake.certificate.boxes import BoxSizes
 from sgvf_drake.certificate.mixture_model import MixtureModel, lowest_of, mixture_of
-from sgvf_drake.certificate.squares import Squares
 
 from .audit import audit, held, random_boxes
 from .ball_fields import BallField
@@ -18,7 +18,7 @@ from .balls import field_at, mixture_at
 def test_an_untrained_field_passes(make_field, recipe):
     field, rng = make_field(recipe), np.random.default_rng(0)
     mixture = mixture_of(field, field.sigma)
-    levels, squares = MixtureModel(mixture, lowest_of(mixture)), Squares.of(field)
+    levels, squares = MixtureModel(mixture, lowest_of(mixture)), BoxSizes.of(field)
     for half in (squares.ring, squares.last):
         boxes = random_boxes(field, half, 4, rng)
         for count, violations, largest in audit(field, levels, boxes, rng).values():
@@ -31,7 +31,7 @@ def test_a_model_that_does_not_hold_is_told(make_field):
     field, rng = make_field("robust"), np.random.default_rng(1)
     mixture = mixture_of(field, field.sigma)
     levels = MixtureModel(mixture)
-    boxes = random_boxes(field, Squares.of(field).ring, 1, rng)
+    boxes = random_boxes(field, BoxSizes.of(field).ring, 1, rng)
     model, d = levels.gradient(boxes), np.array([boxes.half[0], boxes.half[0]])
     z = [arb(float(c)) + arb(float(x)) for c, x in zip(boxes.centers[0], d, strict=True)]
     value = mixture_at(mixture, z)[1][0]

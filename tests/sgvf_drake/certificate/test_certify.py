@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 from sgvf_drake import certify
 from sgvf_drake.certificate import Certificate, check
 from sgvf_drake.certificate.kernels import check_rounding
-from sgvf_drake.certificate.proof import prove
+from sgvf_drake.certificate.path_following import prove
 from sgvf_drake.exceptions import ConfigurationError, OutputExistsError
 from sgvf_drake.fields import GaussianMixture
 from sgvf_drake.lyapunov import LyapunovFunction
@@ -238,13 +238,13 @@ def test_a_file_that_is_not_as_it_was_written_is_refused(ring, tmp_path, spoil, 
 def test_a_key_that_is_missing_is_refused(ring):
     body = json.loads(ring[2].to_json())
     del body["digest"], body["alpha"], body["format"], body["version"]
-    from sgvf_drake.certificate import statement
+    from sgvf_drake.certificate import certificate as module
 
     text = json.dumps(
         {
-            "format": statement.FORMAT,
-            "version": statement.VERSION,
-            "digest": statement._digest(body),
+            "format": module.FORMAT,
+            "version": module.VERSION,
+            "digest": module._digest(body),
             **body,
         }
     )

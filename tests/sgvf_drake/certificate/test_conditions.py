@@ -5,12 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sgvf_drake.certificate import decrease, speed
-from sgvf_drake.certificate.boxes import Boxes
-from sgvf_drake.certificate.decrease import Decrease
-from sgvf_drake.certificate.division import Answer, divide
+from sgvf_drake.certificate.boxes import Answer, Boxes, divide
+from sgvf_drake.certificate.conditions import HIGH, LOW, MARGIN, RATE, SPEED, Decrease, Speed
 from sgvf_drake.certificate.mixture_model import MixtureModel
-from sgvf_drake.certificate.speed import Speed
 from sgvf_drake.fields import GaussianMixture, Perceptron
 from sgvf_drake.lyapunov import LyapunovFunction
 
@@ -47,19 +44,19 @@ def test_what_is_proved_of_a_band_is_so(trained):
     band = (1.0, 6.0)
     found = Decrease(field, levels, *band, alpha=0.05, share=0.5).prove(START, SMALLEST)
     assert found.proved
-    known = ~np.isnan(found.facts[:, decrease.RATE])
+    known = ~np.isnan(found.facts[:, RATE])
     assert found.evaluated >= known.sum() > 1_000
     z, chosen = inside_of(found.boxes[known], np.random.default_rng(0), 40_000)
     facts = found.facts[known][chosen]
     V, gradient = function.value_and_gradient(z)
     V_dot = (gradient * normalised(field, z)).sum(axis=1)
     rounding = 1e-9
-    assert (facts[:, decrease.LOW] <= V + rounding).all()
-    assert (facts[:, decrease.HIGH] >= V - rounding).all()
+    assert (facts[:, LOW] <= V + rounding).all()
+    assert (facts[:, HIGH] >= V - rounding).all()
     in_band = (band[0] <= V) & (band[1] >= V)
-    assert (V_dot <= facts[:, decrease.RATE] + rounding)[in_band].all()
+    assert (V_dot <= facts[:, RATE] + rounding)[in_band].all()
     speed_inward = -V_dot / np.linalg.norm(gradient, axis=1)
-    assert (speed_inward >= facts[:, decrease.MARGIN] - rounding)[in_band].all()
+    assert (speed_inward >= facts[:, MARGIN] - rounding)[in_band].all()
     # Every point of the band is in a square.
     x = np.random.default_rng(1).uniform(-5, 5, (20_000, 2))
     x = x[(function(x) >= band[0]) & (function(x) <= band[1])][:500]
@@ -81,10 +78,10 @@ def test_the_tube_is_left_behind_nowhere(trained):
     field, levels, function = trained
     found = Speed(field, levels, 0.1, delta=0.9, share=0.5).prove(START, SMALLEST)
     assert found.proved
-    known = ~np.isnan(found.facts[:, speed.SPEED])
+    known = ~np.isnan(found.facts[:, SPEED])
     z, chosen = inside_of(found.boxes[known], np.random.default_rng(2), 40_000)
     m = np.linalg.norm(normalised(field, z), axis=1)
-    assert (m >= found.facts[known][chosen][:, speed.SPEED] - 1e-9).all()
+    assert (m >= found.facts[known][chosen][:, SPEED] - 1e-9).all()
     x = np.random.default_rng(3).uniform(-5, 5, (200_000, 2))
     assert np.linalg.norm(normalised(field, x[function(x) <= 0.1]), axis=1).min() >= 0.9
 

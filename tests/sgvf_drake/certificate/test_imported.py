@@ -16,7 +16,7 @@ from torch import nn
 from sgvf_drake import load_field
 from sgvf_drake.certificate import Certificate
 from sgvf_drake.certificate.mixture_model import mixture_of
-from sgvf_drake.certificate.proof import prove
+from sgvf_drake.certificate.path_following import prove
 from sgvf_drake.cli import main
 from sgvf_drake.lyapunov import LyapunovFunction, learned_path
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sgvf_drake.certificate.boxes import Boxes
-from sgvf_drake.certificate.mixture_dual import dual_mixture
+from sgvf_drake.certificate.mixture_model import dual_mixture
 from sgvf_drake.fields import GaussianMixture
 
 from .balls import dot, model_at, vector

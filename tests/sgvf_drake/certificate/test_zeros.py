@@ -9,12 +9,10 @@ import pytest
 from scipy.optimize import fsolve
 
 from sgvf_drake.certificate import enclose_zeros
-from sgvf_drake.certificate.boxes import Boxes
-from sgvf_drake.certificate.division import Division
+from sgvf_drake.certificate.boxes import Boxes, Division
 from sgvf_drake.certificate.field_model import model_field, model_score, simplify
 from sgvf_drake.certificate.network_model import model_network
-from sgvf_drake.certificate.turns import proved_winding_number
-from sgvf_drake.certificate.zeros import HALF_WIDTH, _distinct, _grid
+from sgvf_drake.certificate.zeros import HALF_WIDTH, _distinct, _grid, proved_winding_number
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import NormalisedComposition, Perceptron
 from sgvf_drake.fields.activation import find_activation
