@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from sgvf_drake.certificate.network_model import dual_network, model_network
 from sgvf_drake.certificate.taylor_model import DualModel, TaylorModel
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import GuidingField
+from sgvf_drake.lyapunov import PartName, PlanarZero, PlanarZeros
 
 # Of neighbouring directions that are farther apart, in radians, rounding might tell wrongly on
 # which side of each other they are.
@@ -83,58 +83,39 @@ MOST_FINE = 1_000
 # the centre and the half-side of an enclosure and its index.
 DIRECTION, POINT, RADIUS, INDEX = slice(0, 2), slice(2, 4), 4, 5
 
-PartName = Literal["guiding", "score", "tangent"]
-
 
 @dataclass(frozen=True, eq=False)
-class EnclosedZero:
-    """A zero of a planar field; all of this is proved.
+class EnclosedZero(PlanarZero):
+    """A zero of a planar field; all of this is proved; see `PlanarZero`.
+
+    Its `point` is the centre of a square that holds the zero and no other; its `kind` is not
+    told more finely than `source`, `sink`, `saddle`, `focus` and `unknown`.
 
     Attributes:
-        point: (2,) the centre of a square that holds the zero and no other, in the unit of
-            the waypoints.
         radius: Half-side of the square.
-        index: The Poincare index of the zero.
-        kind: `source`, `sink`, `saddle` or `focus`, as in `lyapunov.Zero`; `unknown`: bounds
-            do not tell.
-        stable: Whether the zero attracts all nearby; None: bounds do not tell.
     """
 
-    point: FloatArray
     radius: float
-    index: int
-    kind: str
-    stable: bool | None
 
 
 @dataclass(frozen=True, eq=False)
-class ZeroList:
-    """The zeros of a field in a square.
+class ZeroList(PlanarZeros[EnclosedZero]):
+    """The zeros of a field in a square, which do not overlap; see `PlanarZeros`.
+
+    What is `undecided` are squares that may hold further zeros, or the same ones.
 
     Attributes:
         box: Lower and upper corner of the square, which holds the field's box.
-        zeros: The zeros, in squares that do not overlap.
-        undecided: Number of squares that may hold further zeros, or the same ones.
-        winding_number: How often the field turns along the border of the square,
-            counter-clockwise; None: this is not proved.
         boxes: Number of squares over which the field was bounded.
     """
 
     box: tuple[FloatArray, FloatArray]
-    zeros: tuple[EnclosedZero, ...]
-    undecided: int
-    winding_number: int | None
     boxes: int
 
     @property
     def complete(self) -> bool:
         """Whether it is proved that there are no others."""
         return self.undecided == 0
-
-    @property
-    def index_sum(self) -> int:
-        """The sum of the indices; of a complete list the winding number."""
-        return sum(zero.index for zero in self.zeros)
 
 
 def enclose_zeros(field: GuidingField, part: PartName = "guiding") -> ZeroList:
@@ -290,7 +271,7 @@ def _described(
     points, radius = field.cloud.denormalize(z), (half - rounding) * field.cloud.unit_length
     kinds = _kinds(function.dual(Boxes(z, half)), facts[:, INDEX])
     return tuple(
-        EnclosedZero(point, float(side), int(index), *kind)
+        EnclosedZero(point, int(index), *kind, float(side))
         for point, side, index, kind in zip(points, radius, facts[:, INDEX], kinds, strict=True)
     )
 

@@ -15,9 +15,8 @@ from sgvf_drake import plotting
 from sgvf_drake.arrays import FloatArray
 from sgvf_drake.fields import Field, GuidingField
 from sgvf_drake.fields.vectors import component_along
-from sgvf_drake.lyapunov import LyapunovFunction, Verification, Violation
-from sgvf_drake.lyapunov.bounds import NEARLY as BOUND_NEARLY
-from sgvf_drake.lyapunov.scan import MIN_DECREASE
+from sgvf_drake.lyapunov import MIN_DECREASE, Verification, Violation
+from sgvf_drake.lyapunov.conditions import NEARLY as BOUND_NEARLY
 
 # The states of a point of the map: outside of the band and V falls, in the band, in the tube,
 # and V does not fall.
@@ -117,7 +116,7 @@ def plot_tube(
     """Draws a window: the sign of V_dot, K = {V <= c_in} with the sets around it, and m."""
     x, y, points = _grid(center, half, ZOOM_PIXELS)
     m = field(points)
-    function: LyapunovFunction = found.function
+    function = found.function
     V = function(points).reshape(len(y), len(x))
     rises = (function.derivative(points, m) >= 0).reshape(V.shape)
     artists: list[Artist] = [

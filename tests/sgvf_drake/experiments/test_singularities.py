@@ -11,7 +11,7 @@ from sgvf_drake.exceptions import ConfigurationError, OutputExistsError
 from sgvf_drake.experiments import run_singularities
 from sgvf_drake.experiments.figures.singularities import MARKS, plot_zeros
 from sgvf_drake.lyapunov import FieldZeros, Zero
-from sgvf_drake.lyapunov.singularities import KINDS
+from sgvf_drake.lyapunov.zeros import KINDS
 from sgvf_drake.paths import tree_reference
 from sgvf_drake.plotting import new_figure
 

@@ -16,9 +16,7 @@ from sgvf_drake.lyapunov import (
     take_samples,
     to_level_set,
 )
-from sgvf_drake.lyapunov.band import LEVEL_MARGIN
-from sgvf_drake.lyapunov.critical import critical_levels
-from sgvf_drake.lyapunov.scan import MIN_DECREASE
+from sgvf_drake.lyapunov.band import LEVEL_MARGIN, MIN_DECREASE, critical_levels
 
 GAIN, SIGMA = 0.2, 0.1
 GRID = 121

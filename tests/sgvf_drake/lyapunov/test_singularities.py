@@ -9,7 +9,7 @@ import pytest
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import NormalisedComposition, ScoreField
 from sgvf_drake.lyapunov import find_singularities, kind_of
-from sgvf_drake.lyapunov.singularities import KINDS
+from sgvf_drake.lyapunov.zeros import KINDS
 
 TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
 SKEW = np.array([[2.0, 1.0], [0.3, 1.5]])

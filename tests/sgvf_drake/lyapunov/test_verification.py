@@ -7,7 +7,7 @@ import pytest
 
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.lyapunov import verify
-from sgvf_drake.lyapunov.violations import NEAR_PATH
+from sgvf_drake.lyapunov.verification import STAND_IN
 from sgvf_drake.paths import Piece, ReferencePath
 
 # One noise level of V is enough where its choice is not the matter.
@@ -171,7 +171,7 @@ def test_a_field_that_flows_out_has_no_band(ring_field, linear):
     rises = [violation for violation in found.violations if violation.kind == "rise"]
     assert rises[0].counts
     # All that is outside of the ring and not near to it.
-    outside = 10**2 - np.pi * (4 + NEAR_PATH) ** 2
+    outside = 10**2 - np.pi * (4 + STAND_IN) ** 2
     assert rises[0].area == pytest.approx(outside, rel=0.02)
     assert np.linalg.norm(rises[0].point) > 4
 
