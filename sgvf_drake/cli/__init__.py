@@ -10,9 +10,7 @@ from sgvf_drake.cli import training  # isort: skip
 from sgvf_drake.cli import importing  # isort: skip
 from sgvf_drake.cli import following  # isort: skip
 from sgvf_drake.cli import flying  # isort: skip
-from sgvf_drake.cli import verifying  # isort: skip
-from sgvf_drake.cli import certifying  # isort: skip
-from sgvf_drake.cli import singularities  # isort: skip
+from sgvf_drake.cli import checking  # isort: skip
 from sgvf_drake.cli import demonstrating  # isort: skip
 from sgvf_drake.cli import running  # isort: skip
 from sgvf_drake.cli import reproducing  # isort: skip
@@ -20,7 +18,7 @@ from sgvf_drake.cli.application import app, main
 
 __all__ = [
     "app",
-    "certifying",
+    "checking",
     "demonstrating",
     "flying",
     "following",
@@ -28,7 +26,5 @@ __all__ = [
     "main",
     "reproducing",
     "running",
-    "singularities",
     "training",
-    "verifying",
 ]
