@@ -18,9 +18,9 @@ SMALLEST = 2.0**-12
 
 
 @pytest.fixture(scope="module")
-def trained(robust_result):
+def trained(robust_field):
     """A field, V with levels from zero on, and V again as the sampled checks have it."""
-    field = robust_result.field
+    field = robust_field
     mixture = GaussianMixture(field.cloud.normalize(field.mixture.points), field.sigma)
     at = Boxes(mixture.points[:1], np.zeros(1))
     function = LyapunovFunction(mixture)

@@ -20,7 +20,10 @@ from sgvf_drake.certificate.path_following import prove
 from sgvf_drake.cli import main
 from sgvf_drake.lyapunov import LyapunovFunction, learned_path
 
-from .balls import dot, field_at, mixture_at
+from .ball_fields import BallField
+from .balls import dot, mixture_at
+
+pytestmark = pytest.mark.full
 
 RADIUS, NOISE = 3.0, 0.3
 BATCH, SCORE_STEPS, TANGENT_STEPS = 256, 700, 300
@@ -103,7 +106,7 @@ def levels_at(field, conditions, x):
     """V of conditions at a point, its gradient, and m there, as balls."""
     z = [arb(float(value)) for value in field.cloud.normalize(x)]
     V, gradient = mixture_at(mixture_of(field, conditions.sigma), z)
-    return V - arb(conditions.lowest), gradient, field_at(field, z)
+    return V - arb(conditions.lowest), gradient, BallField(field)(z).m
 
 
 def test_what_was_trained_elsewhere_is_certified(certified):

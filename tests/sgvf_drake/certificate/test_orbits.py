@@ -73,9 +73,9 @@ def test_what_has_no_derivative_is_told(make_field):
 
 
 @pytest.fixture(scope="module")
-def tube(robust_result):
+def tube(robust_field):
     """A trained field, V, a level whose tube has a ring about each piece, and its squares."""
-    field = robust_result.field
+    field = robust_field
     mixture = GaussianMixture(field.cloud.normalize(field.mixture.points), field.sigma)
     levels = MixtureModel(mixture)
     lowest = levels.level_range(Boxes(mixture.points, np.zeros(len(mixture.points))))[0].min()

@@ -10,8 +10,7 @@ import pytest
 from sgvf_drake.exceptions import ConfigurationError, OutputExistsError
 from sgvf_drake.experiments import run_singularities
 from sgvf_drake.experiments.figures.singularities import MARKS, plot_zeros
-from sgvf_drake.lyapunov import FieldZeros, Zero
-from sgvf_drake.lyapunov.zeros import KINDS
+from sgvf_drake.lyapunov import KINDS, FieldZeros, Zero
 from sgvf_drake.paths import tree_reference
 from sgvf_drake.plotting import new_figure
 
@@ -29,10 +28,10 @@ def summary_of(folder):
 
 
 @pytest.fixture(scope="module")
-def found(tmp_path_factory, robust_result):
+def found(tmp_path_factory, robust_field):
     """The folder of the singularities of a trained field around two rings."""
     out = tmp_path_factory.mktemp("singularities") / "out"
-    returned = run_singularities(robust_result.field, None, out)
+    returned = run_singularities(robust_field, None, out)
     assert returned["index_sum"] == summary_of(out)["index_sum"]
     return out
 
@@ -50,9 +49,8 @@ def test_everything_is_there(found):
     assert summary["unit_length"] == pytest.approx(1, rel=1e-3)
 
 
-def test_the_zeros_are_listed_with_what_is_around_them(found, robust_result, concentric):
-    zeros = summary_of(found)["zeros"]
-    field = robust_result.field
+def test_the_zeros_are_listed_with_what_is_around_them(found, robust_field, concentric):
+    zeros, field = summary_of(found)["zeros"], robust_field
     for zero in zeros:
         assert zero["field"] in ("guiding", "score", "tangent")
         assert zero["kind"] in KINDS
@@ -97,9 +95,9 @@ def test_the_pictures_are_drawn(found):
         assert pixels.shape[1] > 1_500
 
 
-def test_results_are_replaced_only_on_request(found, robust_result):
+def test_results_are_replaced_only_on_request(found, robust_field):
     with pytest.raises(OutputExistsError, match=r"zeros\.csv"):
-        run_singularities(robust_result.field, None, found)
+        run_singularities(robust_field, None, found)
 
 
 def test_a_field_without_zeros(make_field, tmp_path):
@@ -123,7 +121,7 @@ def test_a_spatial_field_is_refused_and_leaves_nothing(make_field, tmp_path):
 
 def test_every_kind_has_its_mark():
     zeros = [
-        Zero("guiding", np.array([k, 0.0]), 1, kind, stable, np.zeros(2, complex), 0.0)
+        Zero(np.array([k, 0.0]), 1, kind, stable, "guiding", np.zeros(2, complex), 0.0)
         for k, (kind, stable) in enumerate(
             [*((kind, False) for kind in KINDS), ("focus", True), ("sink", True)]
         )

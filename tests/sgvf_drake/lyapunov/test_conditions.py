@@ -38,6 +38,9 @@ def test_an_exact_score_is_a_gradient(assumptions):
     assert assumptions.score_lipschitz == pytest.approx(assumptions.exact_lipschitz)
     # At least the curvature across the ring.
     assert assumptions.exact_lipschitz >= 0.99 / 0.1**2
+    summary = assumptions.summary()
+    assert set(summary) >= {"a1_score_lipschitz", "a2_cosine", "a2_length_error"}
+    assert set(summary["a2_cosine"]) == {"mean", "q50", "q90", "q95", "q99", "max", "where"}
 
 
 def test_a_rotation_is_orthogonal_to_the_score_of_a_ring(assumptions):
@@ -80,12 +83,6 @@ def test_pairs_see_all_directions(ring_field, linear):
     assert 0.9 * steepest < found.between_points <= steepest * (1 + 1e-9)
     assert 0.9 * steepest < found.along_level_sets.largest <= steepest * (1 + 1e-9)
     assert found.along_level_sets.mean < 0.9 * steepest
-
-
-def test_assumptions_are_told_by_plain_names(assumptions):
-    summary = assumptions.summary()
-    assert set(summary) >= {"a1_score_lipschitz", "a2_cosine", "a2_length_error"}
-    assert set(summary["a2_cosine"]) == {"mean", "q50", "q90", "q95", "q99", "max", "where"}
 
 
 def test_the_lemma_holds_where_v_is_orthogonal(turning):
