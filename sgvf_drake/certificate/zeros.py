@@ -10,7 +10,7 @@ from sgvf_drake.certificate.boxes import Answer, Boxes, Division, divide
 from sgvf_drake.certificate.field_model import dual_score, has_dual, model_score, simplify
 from sgvf_drake.certificate.isolation import (
     ENLARGED,
-    PlanarMap,
+    BoundedMap,
     directions_of,
     isolate,
     may_be_isolated,
@@ -160,7 +160,7 @@ class _Bounded:
     dual: Callable[[Boxes], DualModel]
 
 
-def _part_of(field: GuidingField, part: PartName) -> PlanarMap:
+def _part_of(field: GuidingField, part: PartName) -> BoundedMap:
     """Returns a part of a field; of m, a positive multiple."""
     score, network = field.score_model, field.tangent_network
     S = _Bounded(
@@ -187,7 +187,7 @@ class _Vanishing:
         margin: See `isolate`.
     """
 
-    function: PlanarMap
+    function: BoundedMap
     half: float
     margin: float
 
@@ -264,7 +264,7 @@ def _distinct(found: Division) -> tuple[FloatArray, int]:
 
 
 def _described(
-    field: GuidingField, function: PlanarMap, facts: FloatArray, rounding: float
+    field: GuidingField, function: BoundedMap, facts: FloatArray, rounding: float
 ) -> tuple[EnclosedZero, ...]:
     """Returns zeros in the unit of the waypoints, with their kinds."""
     z, half = facts[:, POINT], facts[:, RADIUS]

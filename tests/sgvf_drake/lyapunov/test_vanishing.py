@@ -8,8 +8,7 @@ from scipy.stats import binom
 
 from sgvf_drake.fields import GaussianMixture
 from sgvf_drake.lyapunov import find_singularities, measure_vanishing
-from sgvf_drake.lyapunov.path_shape import BLUR, path_shape
-from sgvf_drake.lyapunov.vanishing import Concentration
+from sgvf_drake.lyapunov.vanishing import BLUR, Concentration, path_shape
 from sgvf_drake.paths import Piece, PointCloud, ReferencePath, make_shape, tree_reference
 
 
