@@ -2,16 +2,18 @@
 
 from dataclasses import replace
 
+from flint import arb
 import numpy as np
 import pytest
 
 from sgvf_drake.certificate.boxes import Answer, Boxes, divide
 from sgvf_drake.certificate.conditions import HIGH, LOW, MARGIN, RATE, SPEED, Decrease, Speed
 from sgvf_drake.certificate.mixture_model import MixtureModel
-from sgvf_drake.fields import GaussianMixture, Perceptron
+from sgvf_drake.fields import GaussianMixture, PaperComposition, Perceptron
 from sgvf_drake.lyapunov import LyapunovFunction
 
-from .balls import divided
+from .ball_fields import BallField
+from .balls import divided, dot, mixture_at
 
 START = divided(Boxes.square(8.0), 2.0**-4)
 SMALLEST = 2.0**-12
@@ -65,13 +67,35 @@ def test_what_is_proved_of_a_band_is_so(trained):
     assert (away <= boxes.half).any(axis=1).all()
 
 
-def test_a_rate_that_is_not_there_is_refuted_by_a_point(trained):
+def in_balls(field, levels, z):
+    """V and V_dot at a point, and |m|^2, in ball arithmetic."""
+    z = [arb(float(value)) for value in z]
+    V, gradient = mixture_at(levels.mixture, z)
+    m = BallField(field)(z).m
+    return V - arb(levels.lowest), dot(gradient, m), dot(m, m)
+
+
+@pytest.mark.parametrize(
+    ("drift", "band"), [(0.0, (0.001, 3.0)), (0.9, (1.0, 6.0))], ids=["too low", "a drift"]
+)
+def test_a_rate_that_is_not_there_is_refuted_by_a_point(trained, drift, band):
+    """On the path V goes on; and a bias of the tangent network carries robots up."""
     field, levels, function = trained
-    found = Decrease(field, levels, 0.001, 3.0, alpha=0.05, share=0.0).prove(START, SMALLEST)
+    network = field.tangent_network
+    *others, last = network.biases
+    biased = replace(network, biases=(*others, np.add(last, [drift, 0.0])))
+    planted = replace(field, tangent_network=biased)
+    if drift:
+        # Without the robust composition, in which a tangent that points outward is taken out.
+        planted = replace(planted, composition=PaperComposition(0.02))
+    found = Decrease(planted, levels, *band, alpha=0.05, share=0.0).prove(START, SMALLEST)
     assert not found.proved
+    V, V_dot, _ = in_balls(planted, levels, found.counterexample)
+    assert arb(band[0]) <= V <= arb(band[1])
+    assert V_dot > -arb(0.05)
     z = found.counterexample[None]
-    assert 0.001 <= function(z)[0] <= 3.0
-    assert function.derivative(z, normalised(field, z))[0] > -0.05
+    expected = function.derivative(z, normalised(planted, z))[0]
+    assert float(V_dot) == pytest.approx(expected, rel=1e-6)
 
 
 def test_the_tube_is_left_behind_nowhere(trained):
@@ -88,14 +112,14 @@ def test_the_tube_is_left_behind_nowhere(trained):
 
 def test_a_planted_stop_on_the_path_is_found(trained):
     """A tangent (z_0, 0), which turns around on the line z_0 = 0, across the path."""
-    field, levels, function = trained
+    field, levels, _ = trained
     network = Perceptron((np.array([[1.0, 0.0], [0.0, 0.0]]),), (np.zeros(2),))
     planted = replace(field, tangent_network=network)
     found = Speed(planted, levels, 0.5, delta=0.5, share=0.5).prove(START, SMALLEST)
     assert not found.proved
-    z = found.counterexample[None]
-    assert function(z)[0] <= 0.5
-    assert np.linalg.norm(normalised(planted, z)) < 0.5
+    V, _, square = in_balls(planted, levels, found.counterexample)
+    assert arb(0.5) >= V
+    assert square < arb(0.5) ** 2
 
 
 def test_what_cannot_be_decided_is_kept():

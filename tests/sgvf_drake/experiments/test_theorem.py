@@ -68,6 +68,15 @@ def on_circles(radii, count=3):
     return np.concatenate([radius * circle for radius in radii])
 
 
+def time_at(field, function, start, level):
+    """When V is at a level, from a start at a radius."""
+
+    def excess(t):
+        return float(of_radius(function, np.array([field.radius(start, t)]))[0]) - level
+
+    return brentq(excess, 0.0, 8.0)
+
+
 @pytest.fixture(scope="module")
 def trained(exact_field):
     return exact_field, LyapunovFunction.of(exact_field)
@@ -94,9 +103,7 @@ def test_a_run_is_that_of_the_field_with_V_along_it(V):  # noqa: N802
 def test_a_run_ends_where_the_sublevel_set_is_left(V):
     field = Spiral(-1.0)
     run = follow_lyapunov(field, V, on_circles([1.05, 1.02], 1), 5.0, level=2.0, step=0.01)
-    time = brentq(
-        lambda t: float(of_radius(V, np.array([field.radius(1.05, t)]))[0]) - 2.0, 0.0, 5.0
-    )
+    time = time_at(field, V, 1.05, 2.0)
     assert run.exit.agent == 0
     assert run.exit.time_inside < time <= run.exit.time
     assert run.times[-1] <= run.exit.time <= run.times[-1] + 0.01 + 1e-9
@@ -134,13 +141,7 @@ def test_V_falls_and_the_times_of_entry_are_right(V):  # noqa: N802
     check = check_decrease(field, V, band, starts, 8.0, lap=TURN)
     step = check.run.times[1]
     for start, entry in zip(np.repeat(radii, 3), check.entry_times, strict=True):
-        time = brentq(
-            lambda t, start=start: (
-                float(of_radius(V, np.array([field.radius(start, t)]))[0]) - 0.05
-            ),
-            0.0,
-            8.0,
-        )
+        time = time_at(field, V, start, 0.05)
         assert time <= entry + 1e-4
         assert entry < time + step + 1e-4
     summary = check.summary()

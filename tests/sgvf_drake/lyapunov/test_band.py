@@ -166,19 +166,19 @@ def test_margins_are_the_inward_speed(found):
     assert margins.e_star[3] <= margins.at(middle) <= margins.e_star[4]
 
 
-@pytest.mark.parametrize("level", [0.05, 1.0, 20.0])
-def test_level_sets_are_reached_all_around(ring, level):
+def test_level_sets_are_reached_all_around(ring):
     field, _ = ring
     function = LyapunovFunction.of(field)
-    x = take_samples(field, grid_size=GRID).x
-    near = np.argsort(np.abs(function(x) - level))[:2_000]
-    x = to_level_set(function, x[near], level)
-    np.testing.assert_allclose(function(x), level, rtol=1e-5)
-    angle = np.sort(np.arctan2(x[:, 1], x[:, 0]))
-    assert np.diff(angle).max() < 0.15
-    radius = np.linalg.norm(x, axis=1)
-    for side in (radius < 4, radius > 4):
-        assert side.sum() > 0.2 * len(x)
+    samples = take_samples(field, grid_size=GRID).x
+    V = function(samples)
+    for level in (0.05, 20.0):
+        near = np.argsort(np.abs(V - level))[:2_000]
+        x = to_level_set(function, samples[near], level)
+        np.testing.assert_allclose(function(x), level, rtol=1e-5)
+        angle = np.sort(np.arctan2(x[:, 1], x[:, 0]))
+        assert np.diff(angle).max() < 0.15
+        radius = np.linalg.norm(x, axis=1)
+        assert 0.2 < (radius < 4).mean() < 0.8
 
 
 def test_samples_are_even_and_near(ring):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import root
 from scipy.spatial import cKDTree
+import sympy
 
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import PaperComposition, ScoreField, TangentField
@@ -55,19 +56,19 @@ class Polynomial(Planted):
         return value, slope
 
 
-@dataclass
 class Written(Planted):
-    """A field (f, g) and its Jacobian, from functions of x and y."""
+    """A field and its Jacobian, of two expressions in x and y."""
 
-    value: object
-    slopes: object
+    def __init__(self, *parts):
+        variables = sympy.symbols("x y")
+        field = sympy.Matrix([sympy.sympify(part) for part in parts])
+        both = field.row_join(field.jacobian(variables))
+        self.entries = [sympy.lambdify(variables, entry) for entry in both]
 
     def value_and_jacobian(self, x):
-        X, Y = x.T
-        ones = np.ones_like(X)
-        value = np.column_stack([ones * part for part in self.value(X, Y)])
-        rows = [np.column_stack([ones * part for part in row]) for row in self.slopes(X, Y)]
-        return value, np.stack(rows, axis=1)
+        entries = [np.broadcast_to(entry(*x.T), len(x)) for entry in self.entries]
+        both = np.stack(entries, axis=1).reshape(-1, 2, 3)
+        return both[..., 0], both[..., 1:]
 
 
 @dataclass
@@ -151,18 +152,12 @@ def test_the_border_belongs_to_the_box():
 
 
 def test_a_field_without_zeros_has_none():
-    nowhere = Written(lambda x, y: (1 + x**2, y), lambda x, y: ((2 * x, 0), (0, 1)))
-    nearly = Written(lambda x, y: (1e-6 + x**2, y), lambda x, y: ((2 * x, 0), (0, 1)))
-    constant = Written(lambda x, y: (0.3, -0.4), lambda x, y: ((0, 0), (0, 0)))
-    for field in (nowhere, nearly, constant):
-        check_planted(find_zeros(field, BOX), [], [])
+    for parts in (("1 + x**2", "y"), ("1e-6 + x**2", "y"), ("0.3", "-0.4")):
+        check_planted(find_zeros(Written(*parts), BOX), [], [])
 
 
 def test_a_hundred_zeros_on_a_grid():
-    field = Written(
-        lambda x, y: (np.sin(np.pi * x), np.sin(np.pi * y)),
-        lambda x, y: ((np.pi * np.cos(np.pi * x), 0), (0, np.pi * np.cos(np.pi * y))),
-    )
+    field = Written("sin(pi * x)", "sin(pi * y)")
     grid = np.stack(np.meshgrid(*[np.arange(-4, 6)] * 2), axis=-1).reshape(-1, 2)
     indices = np.where(grid.sum(axis=1) % 2 == 0, 1, -1)
     box = (np.array([-4.4, -4.7]), np.array([5.3, 5.6]))
@@ -175,10 +170,7 @@ def test_zeros_along_a_steep_valley():
     y = np.pi / 3 * number
     indices = np.where(number % 2 == 0, 1, -1)
     for slope in (1e-1, 3e-5):
-        valley = Written(
-            lambda x, y, c=slope: (x - y**2 / 8, c * np.sin(3 * y)),
-            lambda x, y, c=slope: ((1, -y / 4), (0, 3 * c * np.cos(3 * y))),
-        )
+        valley = Written("x - y**2 / 8", f"{slope} * sin(3 * y)")
         field = Moved(valley, 0.4, 1.0, np.array([0.1, 0.2]))
         points = field.place(np.column_stack([y**2 / 8, y]))
         inside = np.abs(points).max(axis=1) < 5
@@ -215,10 +207,7 @@ def test_multiple_zeros_are_degenerate(positive, negative, index):
 
 def test_pairs_that_appear_and_vanish():
     def fold(height):
-        return Written(
-            lambda x, y: ((x - 0.3) ** 2 + height, y - 0.1),
-            lambda x, y: ((2 * (x - 0.3), 0), (0, 1)),
-        )
+        return Written(f"(x - 0.3)**2 + {height}", "y - 0.1")
 
     check_planted(find_zeros(fold(-1e-6), BOX), [[0.299, 0.1], [0.301, 0.1]], [-1, 1])
     check_planted(find_zeros(fold(1e-6), BOX), [], [])
@@ -228,13 +217,7 @@ def test_pairs_that_appear_and_vanish():
 
 
 def test_a_line_of_zeros_is_one_undecided_place():
-    ring = Written(
-        lambda x, y: ((1 - x**2 - y**2) * x, (1 - x**2 - y**2) * y),
-        lambda x, y: (
-            (1 - 3 * x**2 - y**2, -2 * x * y),
-            (-2 * x * y, 1 - x**2 - 3 * y**2),
-        ),
-    )
+    ring = Written("(1 - x**2 - y**2) * x", "(1 - x**2 - y**2) * y")
     search = find_zeros(ring, BOX)
     assert search.undecided == 1
     assert search.degenerate.tolist() == [False, True]
@@ -245,16 +228,15 @@ def test_a_line_of_zeros_is_one_undecided_place():
 
 
 def test_a_line_of_zeros_out_of_the_box_is_refused():
-    line = Written(lambda x, y: (x, 0), lambda x, y: ((1, 0), (0, 0)))
+    line = Written("x", "0")
     with pytest.raises(ConfigurationError, match="vanishes at"):
         find_zeros(line, BOX)
 
 
 def test_other_dimensions_are_refused(make_field):
-    with pytest.raises(ConfigurationError, match="planar"):
-        find_zeros(make_field("robust", dim=3), (np.zeros(3), np.ones(3)))
-    with pytest.raises(ConfigurationError, match="planar"):
-        find_zeros(Polynomial((0j,)), (np.zeros(3), np.ones(3)))
+    for field in (make_field("robust", dim=3), Polynomial((0j,))):
+        with pytest.raises(ConfigurationError, match="planar"):
+            find_zeros(field, (np.zeros(3), np.ones(3)))
 
 
 def test_the_score_of_equal_waypoints_on_rings(ring_field):
