@@ -16,7 +16,7 @@ from sgvf_drake.certificate.zeros import HALF_WIDTH, _distinct, _grid, proved_wi
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import NormalisedComposition, Perceptron
 from sgvf_drake.fields.activation import find_activation
-from sgvf_drake.lyapunov import find_guiding_zeros, winding_number
+from sgvf_drake.lyapunov import find_guiding_zeros, find_singularities, winding_number
 from sgvf_drake.lyapunov.winding import box_corners
 
 FULL, SLOWER = pytest.mark.full, [("paper", 5), ("exact", 4)]
@@ -26,24 +26,19 @@ CORNER = np.array([-0.125, 0.875])
 
 
 @pytest.fixture
-def with_tangent(make_field):
-    """Makes fields of a tangent network."""
-    return lambda network: replace(make_field("paper"), tangent_network=network)
-
-
-@pytest.fixture
-def linear(with_tangent):
+def linear(make_field):
     """Makes fields whose tangent is matrix (z - point)."""
 
     def make(matrix, point=(0.3, -0.7)):
         matrix = np.asarray(matrix, float)
-        return with_tangent(Perceptron((matrix,), (-matrix @ np.asarray(point, float),)))
+        network = Perceptron((matrix,), (-matrix @ np.asarray(point, float),))
+        return replace(make_field("paper"), tangent_network=network)
 
     return make
 
 
 @pytest.fixture
-def parabola(with_tangent):
+def parabola(make_field):
     """Makes fields whose tangent is (x tanh(x / 2) - height, y)."""
 
     def make(height):
@@ -51,35 +46,46 @@ def parabola(with_tangent):
         inner = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
         outer = np.array([[1.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, -1.0]])
         biases = (np.zeros(4), np.array([-height, 0.0]))
-        return with_tangent(Perceptron((inner, outer), biases))
+        return replace(make_field("paper"), tangent_network=Perceptron((inner, outer), biases))
 
     return make
 
 
 @pytest.mark.parametrize(
-    ("matrix", "kind", "stable", "index"),
+    ("matrix", "known", "proved"),
     [
-        (np.diag([1.0, 3.0]), "source", False, 1),
-        (np.diag([-1.0, -3.0]), "sink", True, 1),
-        (np.array([[0.0, 1.0], [1.0, 0.0]]), "saddle", False, -1),
-        (np.diag([-1.0, 1e-3]), "saddle", False, -1),
-        (TURN - 0.2 * np.eye(2), "focus", True, 1),
-        (TURN + 0.2 * np.eye(2), "focus", False, 1),
+        (np.diag([1.0, 3.0]), ("source", False), None),
+        (np.diag([-1.0, -3.0]), ("sink", True), None),
+        (np.array([[0.0, 1.0], [1.0, 0.0]]), ("saddle", False), None),
+        (np.diag([-1.0, 1e-3]), ("saddle", False), None),
+        (TURN - 0.2 * np.eye(2), ("focus", True), None),
+        (TURN + 0.2 * np.eye(2), ("focus", False), None),
         # Of these, any rounding makes something else.
-        (TURN, "unknown", None, 1),
-        (np.array([[-1.0, 1.0], [0.0, -1.0]]), "unknown", True, 1),
+        (TURN, ("centre", False), ("unknown", None)),
+        (np.array([[-1.0, 1.0], [0.0, -1.0]]), ("sink", True), ("unknown", True)),
     ],
 )
-def test_the_zero_of_a_linear_field(linear, matrix, kind, stable, index):
-    field = linear(matrix)
-    found = enclose_zeros(field, "tangent")
+def test_the_zero_of_a_linear_field(linear, matrix, known, proved):
+    """By the search, and by the proof: both tell it in the same words."""
+    field, index = linear(matrix), int(np.sign(np.linalg.det(matrix)))
+    place = field.cloud.denormalize([0.3, -0.7])
+    found, list_of_zeros = find_singularities(field).tangent, enclose_zeros(field, "tangent")
+    for zeros, expected in ((found, known), (list_of_zeros, proved or known)):
+        (zero,) = zeros.zeros
+        assert (zero.kind, zero.stable, zero.index) == (*expected, index)
+        assert zeros.winding_number == zeros.index_sum == index
+        assert zeros.undecided == 0
     (zero,) = found.zeros
-    assert (zero.kind, zero.stable, zero.index) == (kind, stable, index)
-    assert (np.abs(zero.point - field.cloud.denormalize([0.3, -0.7])) <= zero.radius).all()
+    assert zero.field == "tangent"
+    assert np.allclose(zero.point, place, atol=1e-12)
+    assert zero.residual < 1e-12
+    eigenvalues = np.linalg.eigvals(matrix) / field.cloud.unit_length
+    found_values = np.sort_complex(zero.eigenvalues)
+    assert np.allclose(found_values, np.sort_complex(eigenvalues), atol=1e-7)
+    (zero,) = list_of_zeros.zeros
+    assert (np.abs(zero.point - place) <= zero.radius).all()
     assert zero.radius < 1e-9
-    assert found.complete
-    assert found.winding_number == found.index_sum == index
-    for side, corner in zip((-1, 1), found.box, strict=True):
+    for side, corner in zip((-1, 1), list_of_zeros.box, strict=True):
         assert (side * (corner - field.cloud.box[side > 0]) > 0).all()
 
 

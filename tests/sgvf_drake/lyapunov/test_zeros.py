@@ -36,27 +36,6 @@ def test_kinds_follow_from_the_eigenvalues(jacobian, kind):
     assert kind_of(1e-4 * moved) == kind
 
 
-@pytest.mark.parametrize(
-    ("matrix", "kind", "stable", "index"),
-    [
-        (TURN, "centre", False, 1),
-        (TURN - 0.2 * np.eye(2), "focus", True, 1),
-        (TURN + 0.2 * np.eye(2), "focus", False, 1),
-        (np.diag([1.0, 3.0]), "source", False, 1),
-        (np.diag([-1.0, -3.0]), "sink", True, 1),
-        (np.array([[0.0, 1.0], [1.0, 0.0]]), "saddle", False, -1),
-    ],
-)
-def test_the_zero_of_a_linear_tangent(ring_field, linear, matrix, kind, stable, index):
-    field, _ = ring_field((4.0,), tangent=linear(matrix, (1.3, -0.7)))
-    (zero,) = find_singularities(field).tangent.zeros
-    assert (zero.field, zero.kind, zero.stable, zero.index) == ("tangent", kind, stable, index)
-    assert np.allclose(zero.point, field.cloud.denormalize([1.3, -0.7]), atol=1e-12)
-    expected = np.linalg.eigvals(matrix) / field.cloud.unit_length
-    assert np.allclose(np.sort_complex(zero.eigenvalues), np.sort_complex(expected))
-    assert zero.residual < 1e-12
-
-
 @pytest.fixture(scope="module")
 def robust(robust_field):
     """The singularities of a trained field around two rings."""
