@@ -67,22 +67,22 @@ def prove(
         reference: The path.
         propose: Gives thin rings around the closed orbit of a piece, the best first.
     """
-    squares = BoxSizes.of(field)
+    sizes = BoxSizes.of(field)
     levels = MixtureModel(mixture_of(field, conditions.sigma), conditions.lowest)
-    basin = levels.squares_below(conditions.c_out, squares.everything, squares.first)
-    if not len(basin) or np.abs(basin.centers).max() + squares.first >= HALF_WIDTH:
+    basin = levels.squares_below(conditions.c_out, sizes.everything, sizes.first)
+    if not len(basin) or np.abs(basin.centers).max() + sizes.first >= HALF_WIDTH:
         return Attempt(failed(field, conditions, "{V <= c_out} is not a set in the square"))
     c = conditions
     falls = Decrease(field, levels, c.c_in, c.c_out, c.alpha, c.share).prove(
-        basin, squares.last
+        basin, sizes.last
     )
     if not falls.proved:
         return _undone(field, conditions, "V falls along m on the band", [falls])
-    tube = levels.squares_below(c.c_in, squares.everything, squares.ring)
-    moves = Speed(field, levels, c.c_in, c.delta, c.share).prove(tube, squares.last)
+    tube = levels.squares_below(c.c_in, sizes.everything, sizes.ring)
+    moves = Speed(field, levels, c.c_in, c.delta, c.share).prove(tube, sizes.last)
     if not moves.proved:
         return _undone(field, conditions, "m is nowhere zero in the tube", [falls, moves])
-    shape = shape_of_band(levels, c.c_in, c.c_out, squares.cover)
+    shape = shape_of_band(levels, c.c_in, c.c_out, sizes.cover)
     if shape is None:
         return Attempt(failed(field, conditions, "the band is too thin for the covers"))
     proved = Proved(conditions, reference, levels, falls, moves, shape)
@@ -222,10 +222,10 @@ def _uniqueness(
     """Returns an orbit in a component with one hole, by whether it is the only one."""
     if not has_dual(field):
         return _Orbit(result)
-    squares = BoxSizes.of(field)
-    ring = proved.shape.squares_of(component, squares.ring)
+    sizes = BoxSizes.of(field)
+    ring = proved.shape.squares_of(component, sizes.ring)
     contraction = Contraction(field, proved.levels, proved.conditions.c_in)
-    found = contraction.prove(ring, squares.last)
+    found = contraction.prove(ring, sizes.last)
     return _Orbit(replace(result, orbit_unique=found.proved or None), boxes=found.evaluated)
 
 

@@ -172,10 +172,10 @@ def extend(field: GuidingField, levels: MixtureModel, conditions: Conditions) ->
         levels: V.
         conditions: C1 and C2, proved.
     """
-    squares = BoxSizes.of(field)
+    sizes = BoxSizes.of(field)
     lower, upper = (field.cloud.normalize(corner[None])[0] for corner in field.cloud.box)
-    raster = _Raster.over(lower, upper, squares.first)
-    falls = _falls(field, levels, conditions, raster.squares, squares.cover)
+    raster = _Raster.over(lower, upper, sizes.first)
+    falls = _falls(field, levels, conditions, raster.squares, sizes.cover)
     open_level = raster.lowest(falls.undecided.centers, levels.level_range(falls.undecided)[0])
     low, high = (raster.grid(bound) for bound in levels.level_range(raster.squares))
     found, reach = _parts(raster, low, high, open_level, conditions.c_out)

@@ -238,7 +238,8 @@ class _Places:
         for zero in sorted(zeros, key=lambda zero: not zero.stable):
             x = zero.point[None]
             V = self.function(x)
-            counts = bool(self._inside(x, V, self.band and self.band.c_out)[0])
+            c_out = self.band.c_out if self.band else None
+            counts = bool(self._inside(x, V, c_out)[0])
             kind = f"stable {zero.kind}" if zero.kind == "focus" and zero.stable else zero.kind
             found.append(Violation("zero", zero.point, 0.0, float(V[0]), 0.0, counts, kind))
         return found
@@ -290,7 +291,8 @@ class _Places:
     @cached_property
     def _tube(self) -> BoolArray:
         """Which samples are in the tube, or near the path without a band, (n,)."""
-        return self._inside(self.samples.x, self._levels[0], self.band and self.band.c_in)
+        c_in = self.band.c_in if self.band else None
+        return self._inside(self.samples.x, self._levels[0], c_in)
 
     def _inside(self, x: FloatArray, V: FloatArray, level: float | None) -> BoolArray:
         """Whether points are in {V <= level}, or near the path where no level is given."""

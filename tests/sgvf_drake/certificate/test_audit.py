@@ -18,8 +18,8 @@ from .balls import mixture_at
 def test_an_untrained_field_passes(make_field, recipe):
     field, rng = make_field(recipe), np.random.default_rng(0)
     mixture = mixture_of(field, field.sigma)
-    levels, squares = MixtureModel(mixture, lowest_of(mixture)), BoxSizes.of(field)
-    for half in (squares.ring, squares.last):
+    levels, sizes = MixtureModel(mixture, lowest_of(mixture)), BoxSizes.of(field)
+    for half in (sizes.ring, sizes.last):
         boxes = random_boxes(field, half, 4, rng)
         for count, violations, largest in audit(field, levels, boxes, rng).values():
             assert count >= 4 * 18
