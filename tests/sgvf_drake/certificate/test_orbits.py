@@ -9,13 +9,11 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from sgvf_drake.certificate.boxes import Boxes
-from sgvf_drake.certificate.field_model import dual_field, has_dual
+from sgvf_drake.certificate.field_model import dual_field
 from sgvf_drake.certificate.mixture_model import MixtureModel
 from sgvf_drake.certificate.orbit_search import propose_annuli
 from sgvf_drake.certificate.orbits import Contraction, Turning
-from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import GaussianMixture
-from sgvf_drake.fields.activation import find_activation
 
 from .conftest import circle
 
@@ -45,31 +43,6 @@ def test_derivatives_are_inside_of_their_models(make_field, recipe, seed, expone
         if np.isfinite(model.remainder).all():
             assert (values >= model.lower - rounding).all()
             assert (values <= model.upper + rounding).all()
-
-
-def test_derivatives_become_tight_as_squares_become_small(make_field):
-    field = make_field("robust")
-    centers = np.random.default_rng(1).uniform(-4, 4, (50, 2))
-    J = normalised(field, centers)[1]
-    exact = np.trace(J, 0, 1, 2)
-    off = []
-    for half in (2.0**-9, 2.0**-12):
-        divergence = dual_field(field, Boxes(centers, np.full(50, half))).divergence
-        off.append(np.median(divergence.upper[:, 0] - exact))
-    assert off[1] < off[0] / 4
-
-
-def test_what_has_no_derivative_is_told(make_field):
-    robust, ending = make_field("robust"), make_field("robust", ends=1)
-    kinked = replace(
-        robust,
-        tangent_network=replace(robust.tangent_network, activation=find_activation("ReLU")),
-    )
-    assert has_dual(robust)
-    for field in (ending, kinked):
-        assert not has_dual(field)
-        with pytest.raises(ConfigurationError, match="derivatives"):
-            dual_field(field, Boxes.square(0.5))
 
 
 @pytest.fixture(scope="module")

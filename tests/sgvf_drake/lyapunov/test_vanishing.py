@@ -104,6 +104,9 @@ def test_the_closed_form_around_a_ring(ring_field):
     assert summary["zeros_off_path"] == 1
     assert summary["index_sum_on_path"] == 0
     assert summary["index_sum_off_path"] == 1
+    # One curvature cannot be high.
+    assert summary["high_curvature"] is summary["curvature_correlation"] is None
+    assert vanishing.median_curvature == pytest.approx(0.25, rel=1e-2)
     r = np.linalg.norm(found.score.points, axis=1)
     assert np.array_equal(score.on_path, r > 2)
     assert np.allclose(score.curvature[score.on_path] * r[score.on_path], 1, rtol=0.02)
@@ -175,22 +178,3 @@ def test_a_sparse_y_has_zeros_everywhere(make_y):
     unknown = np.isnan(vanishing.score.curvature) & vanishing.score.on_path
     assert unknown.sum() == pytest.approx(len(unknown) / 3, abs=6)
     assert not vanishing.high_curvature.holds
-
-
-def test_one_curvature_cannot_be_high(ring):
-    field, path = ring
-    vanishing = measure_vanishing(field, find_singularities(field), path)
-    assert vanishing.high_curvature is None
-    assert vanishing.curvature_correlation is None
-    assert vanishing.median_curvature == pytest.approx(0.25, rel=1e-2)
-    assert vanishing.summary()["high_curvature"] is None
-
-
-def test_a_zero_knows_what_is_around_it(measured):
-    _, _, vanishing = measured
-    row = vanishing.score.at(3)
-    assert row["log_density"] == vanishing.score.log_density[3]
-    assert set(row) == {
-        *("log_density", "density_percentile", "path_distance", "on_path", "curvature"),
-        *("guiding_norm", "score_norm", "other_distance"),
-    }

@@ -259,14 +259,6 @@ def test_the_score_of_equal_waypoints_on_rings(ring_field):
     assert (r < 0.1).sum() == 1
 
 
-def test_the_score_vanishes_along_a_ring_of_dense_waypoints(ring_field):
-    field, _ = ring_field((4.0,), spacing=0.05)
-    search = find_zeros(ScoreField(field), field.cloud.box, field.mixture.sigma)
-    assert search.undecided == 1
-    assert search.indices.tolist() == [1, 0]
-    assert search.degenerate.tolist() == [False, True]
-
-
 # Cells along each axis of the dense search.
 DENSE = 200
 # Singular values of the Jacobian that are this far apart belong to a flat valley.

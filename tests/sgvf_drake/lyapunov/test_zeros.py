@@ -110,25 +110,6 @@ def test_zeros_have_the_unit_of_the_waypoints(make_field):
         assert [zero.kind for zero in theirs.zeros] == [zero.kind for zero in zeros.zeros]
 
 
-def test_zeros_turn_with_the_cloud(ring_field):
-    # A ring of 12 separate waypoints, and the same turned by a third of their spacing.
-    field, _ = ring_field((4.0,), spacing=2 * np.pi / 3, sigma=0.9)
-    angle = 2 * np.pi / 36
-    R = np.cos(angle) * np.eye(2) + np.sin(angle) * TURN
-    turned = replace(
-        field,
-        score_model=replace(field.score_model, points=field.score_model.points @ R.T),
-        support=field.cloud.points @ R.T,
-    )
-    ours, theirs = (find_singularities(one) for one in (field, turned))
-    assert len(ours.score.zeros) == 25
-    for name in ("guiding", "score"):
-        points = ours.by_field[name].points @ R.T
-        away = np.linalg.norm(points[:, None] - theirs.by_field[name].points, axis=2)
-        assert np.array_equal(away.argmin(axis=1)[away.argmin(axis=0)], range(len(points)))
-        assert away.min(axis=1).max() < 1e-8
-
-
 def test_a_zero_on_the_border_of_the_box_is_in_a_larger_one(ring_field, linear):
     field, _ = ring_field((4.0,), tangent=linear(np.eye(2), (5.0, 1.0)))
     lower, upper = field.cloud.box
