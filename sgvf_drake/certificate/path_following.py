@@ -73,9 +73,7 @@ def prove(
     if not len(basin) or np.abs(basin.centers).max() + sizes.first >= HALF_WIDTH:
         return Attempt(failed(field, conditions, "{V <= c_out} is not a set in the square"))
     c = conditions
-    falls = Decrease(field, levels, c.c_in, c.c_out, c.alpha, c.share).prove(
-        basin, sizes.last
-    )
+    falls = Decrease(field, levels, c.c_in, c.c_out, c.alpha, c.share).prove(basin, sizes.last)
     if not falls.proved:
         return _undone(field, conditions, "V falls along m on the band", [falls])
     tube = levels.squares_below(c.c_in, sizes.everything, sizes.ring)

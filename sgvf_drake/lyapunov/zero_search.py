@@ -77,28 +77,12 @@ class ZeroSearch:
     cells: int
 
 
-@dataclass(frozen=True, eq=False)
-class _Cluster:
-    """Neighbouring cells that remained undecided.
-
-    Attributes:
-        point: (2,) where |m| is smallest.
-        index: The sum of the Poincare indices of all its zeros.
-        vanishes: Whether there is a zero beside those that were told apart: the index is not
-            zero, or |m| can be made zero to rounding where none of them is.
-    """
-
-    point: FloatArray
-    index: int
-    vanishes: bool
-
-
 def find_zeros(
     field: Field, box: tuple[FloatArray, FloatArray], scale: float | None = None
 ) -> ZeroSearch:
     """Finds all zeros of a planar field in a box, its border included.
 
-    All of them, as far as the rims of cells tell what is in them; see `cell_model`.
+    All of them, as far as the rims of cells tell what is in them; see `CellModel`.
 
     Args:
         field: The field, differentiable where it vanishes.
@@ -121,8 +105,15 @@ def find_zeros(
     finest = SPACINGS * float(np.spacing(np.abs([lower, upper]).max()))
     points, undecided, count = _search(values, first, max(SMALLEST_CELL * size, finest))
     indices = np.sign(np.linalg.det(values.value_and_jacobian(points)[1])).astype(np.intp)
-    clusters = [_cluster_of(values, cells, points, indices) for cells in undecided]
-    return _within(box, size, points, indices, clusters, count)
+    found = [_zero_of_cluster(values, cells, points, indices) for cells in undecided]
+    held = [zero for zero in found if zero is not None]
+    points = np.concatenate([points, *(point[None] for point, _ in held)])
+    indices = np.append(indices, [index for _, index in held]).astype(np.intp)
+    degenerate = np.arange(len(points)) >= len(points) - len(held)
+    # The last bits of a zero on the border may lie beyond it.
+    slack = ROUNDING * size
+    inside = ((points >= lower - slack) & (points <= upper + slack)).all(axis=1)
+    return ZeroSearch(points[inside], indices[inside], degenerate[inside], len(found), count)
 
 
 def _search(
@@ -198,29 +189,13 @@ def _distinct(points: FloatArray, distance: float) -> FloatArray:
     return points[kept]
 
 
-def _within(
-    box: tuple[FloatArray, FloatArray],
-    size: float,
-    points: FloatArray,
-    indices: IntArray,
-    clusters: list[_Cluster],
-    count: int,
-) -> ZeroSearch:
-    """Joins the simple zeros and those of clusters, and drops those outside of the box."""
-    held = [cluster for cluster in clusters if cluster.vanishes]
-    points = np.concatenate([points, *(cluster.point[None] for cluster in held)])
-    indices = np.append(indices, [cluster.index for cluster in held]).astype(np.intp)
-    degenerate = np.arange(len(points)) >= len(points) - len(held)
-    # The last bits of a zero on the border may lie beyond it.
-    slack = ROUNDING * size
-    inside = ((points >= box[0] - slack) & (points <= box[1] + slack)).all(axis=1)
-    return ZeroSearch(points[inside], indices[inside], degenerate[inside], len(clusters), count)
-
-
-def _cluster_of(
+def _zero_of_cluster(
     field: PlanarMap, cells: Cells, points: FloatArray, indices: IntArray
-) -> _Cluster:
-    """Examines a cluster of undecided cells.
+) -> tuple[FloatArray, int] | None:
+    """Returns where |m| is smallest in a cluster of undecided cells, and the index of all there.
+
+    None where nothing tells of a zero beside those that were told apart: the index is zero,
+    and |m| cannot be made zero to rounding, or one of those is there.
 
     Args:
         field: The field.
@@ -249,7 +224,7 @@ def _cluster_of(
     near = np.abs(least.x).max() <= 2
     point = start + cells.side * least.x if near else start
     zero = bool(near and np.linalg.norm(least.fun) < VANISHING)
-    return _Cluster(point, index, index != 0 or (zero and not known.any()))
+    return (point, index) if index != 0 or (zero and not known.any()) else None
 
 
 def _flat_cells(field: PlanarMap, cells: Cells) -> BoolArray:
