@@ -192,7 +192,7 @@ def _distinct(points: FloatArray, distance: float) -> FloatArray:
 def _zero_of_cluster(
     field: PlanarMap, cells: Cells, points: FloatArray, indices: IntArray
 ) -> tuple[FloatArray, int] | None:
-    """Returns where |m| is smallest in a cluster of undecided cells, and the index of all there.
+    """Returns where |m| is smallest in a cluster of undecided cells, and the index of it all.
 
     None where nothing tells of a zero beside those that were told apart: the index is zero,
     and |m| cannot be made zero to rounding, or one of those is there.

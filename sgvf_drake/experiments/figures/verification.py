@@ -90,8 +90,8 @@ def _draw_decrease(axes: Axes, field: GuidingField, found: Verification) -> None
     for violation in found.violations:
         color = plotting.RED if violation.counts else plotting.GREY
         marker = {"zero": "X", "slow": "v"}.get(violation.kind, "o")
-        style = {"color": color, "markersize": 7, "markeredgecolor": "white"}
-        axes.plot(*violation.point, marker, **style)
+        (mark,) = axes.plot(*violation.point, marker, color=color)
+        mark.set(markersize=7, markeredgecolor="white")
 
 
 def _draw_tube(axes: Axes, field: GuidingField, found: Verification) -> None:
@@ -265,8 +265,8 @@ def _draw_modes(axes: Axes, check: ModeCheck) -> None:
     speeds, at = check.speeds[order], np.flatnonzero(order == check.V.argmin())[:1]
     axes.axhline(1.0, color=plotting.GREY, linestyle="--", label="unit length")
     axes.plot(share, speeds, ".", color=plotting.BLUE, label="mode")
-    style = {"color": plotting.RED, "markersize": 12, "label": "global mode"}
-    axes.plot(share[at], speeds[at], "*", **style)
+    (star,) = axes.plot(share[at], speeds[at], "*", color=plotting.RED, label="global mode")
+    star.set(markersize=12)
     axes.set(
         xlabel="share of the modes [%]",
         ylabel="|m|",

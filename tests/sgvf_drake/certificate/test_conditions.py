@@ -98,6 +98,7 @@ def test_a_rate_that_is_not_there_is_refuted_by_a_point(trained, drift, band):
     assert float(V_dot) == pytest.approx(expected, rel=1e-6)
 
 
+@pytest.mark.full
 def test_the_tube_is_left_behind_nowhere(trained):
     field, levels, function = trained
     found = Speed(field, levels, 0.1, delta=0.9, share=0.5).prove(START, SMALLEST)

@@ -67,6 +67,7 @@ def of_piece(boxes, radii):
     return boxes[(distance > radii[0]) & (distance < radii[1])]
 
 
+@pytest.mark.full
 def test_a_ring_of_a_trained_field_has_one_orbit_with_a_lap_in_the_bounds(tube, annulus):
     field, levels, c_in = tube
     squares = of_piece(levels.squares_below(c_in, Boxes.square(8.0), 2.0**-6), (1.0, 3.0))
