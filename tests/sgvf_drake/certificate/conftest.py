@@ -41,7 +41,10 @@ def make_ring(make_field):
 
 @pytest.fixture(scope="session")
 def ring_file():
-    """The stored certificate of `ring`, as it was written before the modules were merged."""
+    """The stored certificate of `ring`: what `certify(*make_ring(4.0))` wrote in November 2026.
+
+    It has to stay readable, and what it claims has to stay provable.
+    """
     return FOLDER.parent / "certificates" / "ring.json"
 
 
