@@ -1,7 +1,8 @@
 """The certificate: a proof of path following, by bounds over squares."""
 
-from sgvf_drake.certificate.search import certify, check
-from sgvf_drake.certificate.statement import Certificate, Conditions, Part, PieceResult
+from sgvf_drake.certificate.certificate import Certificate, Part, PieceResult
+from sgvf_drake.certificate.certification import certify, check
+from sgvf_drake.certificate.conditions import Conditions
 from sgvf_drake.certificate.zeros import EnclosedZero, ZeroList, enclose_zeros
 
 __all__ = [

@@ -1,10 +1,12 @@
-"""Squares in the plane, as the cells of a proof."""
+"""Squares in the plane, in which sizes, and branch and bound over them."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from sgvf_drake.arrays import BoolArray, FloatArray
+from sgvf_drake.fields import GuidingField
 
 # From the centre of a square to those of its quarters, in halves of its half-side.
 QUARTERS = np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
@@ -41,3 +43,139 @@ class Boxes:
     def square(cls, half: float) -> "Boxes":
         """Returns the one square around the origin of a half-side."""
         return cls(np.zeros((1, 2)), np.array([half]))
+
+
+HALF_WIDTH = 8.0
+"""Everything is proved inside of a square of this half-side, normalised units; the waypoints
+are within 4."""
+
+
+@dataclass(frozen=True)
+class BoxSizes:
+    """Half-sides of squares, powers of two.
+
+    Attributes:
+        unit: The largest one that is no larger than the noise level of the field.
+    """
+
+    unit: float
+
+    @classmethod
+    def of(cls, field: GuidingField) -> "BoxSizes":
+        """Returns the sizes for a field."""
+        return cls(float(2.0 ** np.floor(np.log2(min(field.sigma, 1.0)))))
+
+    @property
+    def everything(self) -> Boxes:
+        """The square that holds everything."""
+        return Boxes.square(HALF_WIDTH)
+
+    @property
+    def first(self) -> float:
+        """Of those over which a field is bounded first."""
+        return self.unit / 2
+
+    @property
+    def ring(self) -> float:
+        """Of those in the tube."""
+        return self.unit / 4
+
+    @property
+    def cover(self) -> float:
+        """Of the covers whose components and holes are counted."""
+        return self.unit / 8
+
+    @property
+    def last(self) -> float:
+        """Of those that are divided no more."""
+        return self.unit / 1024
+
+
+CHUNK = 1000
+"""Squares that are asked about at once."""
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What was found out over n squares.
+
+    Attributes:
+        decided: (n,) whether a square needs no division.
+        facts: (n, k) what is known of each.
+        evaluated: Number of the squares over which the field was bounded.
+    """
+
+    decided: BoolArray
+    facts: FloatArray
+    evaluated: int
+
+
+@dataclass(frozen=True, eq=False)
+class Division:
+    """What a question came to.
+
+    Attributes:
+        boxes: The squares on which it is decided.
+        facts: (n, k) what is known of each.
+        evaluated: Number of squares over which the field was bounded.
+        counterexample: (2,) a point at which the answer is no; None: none was found.
+        undecided: Squares that would have to be divided further.
+    """
+
+    boxes: Boxes
+    facts: FloatArray
+    evaluated: int
+    counterexample: FloatArray | None
+    undecided: Boxes
+
+    @property
+    def proved(self) -> bool:
+        """Whether it is decided everywhere."""
+        return self.counterexample is None and len(self.undecided) == 0
+
+
+def divide(
+    boxes: Boxes,
+    ask: Callable[[Boxes], Answer],
+    refute: Callable[[FloatArray], BoolArray],
+    smallest: float,
+) -> Division:
+    """Divides squares until a question is decided on each.
+
+    Args:
+        boxes: The squares.
+        ask: Tells what is known of squares.
+        refute: Tells at which points (n, 2) the answer is no, by the field itself; asked at
+            the centres of squares that are undecided.
+        smallest: Half-side at which, when all squares are as small, they are divided no more.
+    """
+    decided: list[Boxes] = []
+    facts: list[FloatArray] = []
+    evaluated = 0
+    while len(boxes):
+        answers = [ask(boxes[start : start + CHUNK]) for start in range(0, len(boxes), CHUNK)]
+        evaluated += sum(answer.evaluated for answer in answers)
+        done = np.concatenate([answer.decided for answer in answers])
+        decided.append(boxes[done])
+        facts.append(np.concatenate([answer.facts for answer in answers])[done])
+        boxes = boxes[~done]
+        refuted = refute(boxes.centers)
+        if refuted.any() or (len(boxes) and boxes.half.max() <= smallest):
+            found = boxes.centers[refuted][0] if refuted.any() else None
+            return _division(decided, facts, evaluated, found, boxes)
+        boxes = boxes.quarters()
+    return _division(decided, facts, evaluated, None, boxes)
+
+
+def _division(
+    decided: list[Boxes],
+    facts: list[FloatArray],
+    evaluated: int,
+    counterexample: FloatArray | None,
+    undecided: Boxes,
+) -> Division:
+    boxes = Boxes(
+        np.concatenate([part.centers for part in decided]),
+        np.concatenate([part.half for part in decided]),
+    )
+    return Division(boxes, np.concatenate(facts), evaluated, counterexample, undecided)

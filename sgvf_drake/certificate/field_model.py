@@ -3,7 +3,6 @@
 from typing import TypeVar
 
 from sgvf_drake.certificate.boxes import Boxes
-from sgvf_drake.certificate.dual_model import DualModel, dual_network
 from sgvf_drake.certificate.expansions import (
     FALL,
     INVERSE_ROOT,
@@ -12,10 +11,9 @@ from sgvf_drake.certificate.expansions import (
     SQUASH,
     find_expansion,
 )
-from sgvf_drake.certificate.mixture_dual import dual_mixture
-from sgvf_drake.certificate.mixture_model import MixtureModel
-from sgvf_drake.certificate.network_model import model_network
-from sgvf_drake.certificate.taylor_model import Differentiable, TaylorModel
+from sgvf_drake.certificate.mixture_model import MixtureModel, dual_mixture
+from sgvf_drake.certificate.network_model import dual_network, model_network
+from sgvf_drake.certificate.taylor_model import Differentiable, DualModel, TaylorModel
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import (
     GaussianMixture,

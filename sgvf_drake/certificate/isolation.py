@@ -12,9 +12,8 @@ import numpy as np
 
 from sgvf_drake.arrays import BoolArray, FloatArray, IntArray
 from sgvf_drake.certificate.boxes import Boxes
-from sgvf_drake.certificate.dual_model import DualModel
 from sgvf_drake.certificate.kernels import SLACK, TINY
-from sgvf_drake.certificate.taylor_model import TaylorModel
+from sgvf_drake.certificate.taylor_model import DualModel, TaylorModel
 
 # Newton's method doubles the digits in every step: enough for all of them.
 NEWTON_STEPS = 6
@@ -25,7 +24,7 @@ ENLARGED = 1.25
 WIDER = 2.0
 
 
-class PlanarMap(Protocol):
+class BoundedMap(Protocol):
     """Two functions of the plane that can be bounded."""
 
     def model(self, boxes: Boxes) -> TaylorModel:
@@ -77,7 +76,7 @@ def may_be_isolated(m: TaylorModel) -> BoolArray:
     return (step < 2 * m.half) & (bend < 1)
 
 
-def isolate(function: PlanarMap, boxes: Boxes, margin: float) -> Isolated:
+def isolate(function: BoundedMap, boxes: Boxes, margin: float) -> Isolated:
     """Looks for a zero that is the only one in each square, enlarged by `ENLARGED`.
 
     The square itself then holds that zero or none.
@@ -100,7 +99,7 @@ def isolate(function: PlanarMap, boxes: Boxes, margin: float) -> Isolated:
     return Isolated(is_one, points, radius, index)
 
 
-def _newton(function: PlanarMap, points: FloatArray) -> FloatArray:
+def _newton(function: BoundedMap, points: FloatArray) -> FloatArray:
     """Returns where Newton's method leads from points (n, 2); not finite: nowhere."""
     for _ in range(NEWTON_STEPS):
         m = function.model(Boxes(points, np.zeros(len(points))))

@@ -15,7 +15,14 @@ from sgvf_drake.arrays import FloatArray
 from sgvf_drake.certificate.boxes import Boxes
 from sgvf_drake.certificate.expansions import COSINE, SINE, find_expansion
 from sgvf_drake.certificate.kernels import SLACK, TINY, UNIT
-from sgvf_drake.certificate.taylor_model import TaylorModel, Univariate, concatenate
+from sgvf_drake.certificate.taylor_model import (
+    Differentiable,
+    DualModel,
+    TaylorModel,
+    Univariate,
+    concatenate,
+)
+from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields.perceptron import FourierFeatures, Perceptron
 
 CHUNK = 96
@@ -117,3 +124,34 @@ def _carried(network: Perceptron, layers: list[_Layer], entry: FloatArray) -> Fl
     reached = np.abs(backward) + gamma * size
     total += np.einsum("nok,nk->no", reached, entry)
     return total * (1 + 2 * (4 + entry.shape[1]) * UNIT * (1 + len(layers)))
+
+
+def dual_network(network: Perceptron, boxes: Boxes) -> DualModel:
+    """Returns the outputs of a network of two inputs, and their derivatives.
+
+    Raises:
+        ConfigurationError: Nothing bounds its activation, or it has no derivative.
+    """
+    units = DualModel.position(boxes)
+    if network.features is not None:
+        angles = _dual_affine(units, network.features.frequencies, network.features.phases)
+        units = _concatenate(angles.apply(SINE), angles.apply(COSINE))
+    activation = find_expansion(network.activation.name)
+    if not isinstance(activation, Differentiable):
+        raise ConfigurationError(f"{network.activation.name} has no derivative everywhere")
+    for weight, bias in zip(network.weights[:-1], network.biases[:-1], strict=True):
+        units = _dual_affine(units, weight, bias).apply(activation)
+    return _dual_affine(units, network.weights[-1], network.biases[-1])
+
+
+def _dual_affine(units: DualModel, weight: FloatArray, bias: FloatArray) -> DualModel:
+    nothing = np.zeros_like(bias)
+    first, second = (affine(slope, weight, nothing)[0] for slope in units.slopes)
+    return DualModel(affine(units.value, weight, bias)[0], (first, second))
+
+
+def _concatenate(a: DualModel, b: DualModel) -> DualModel:
+    first, second = (
+        concatenate([mine, theirs]) for mine, theirs in zip(a.slopes, b.slopes, strict=True)
+    )
+    return DualModel(concatenate([a.value, b.value]), (first, second))

@@ -8,8 +8,8 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
 from sgvf_drake.arrays import FloatArray
-from sgvf_drake.certificate.annulus import Annulus
-from sgvf_drake.certificate.squares import Squares
+from sgvf_drake.certificate.boxes import BoxSizes
+from sgvf_drake.certificate.orbits import Annulus
 from sgvf_drake.fields import GuidingField
 
 # Largest widths that are tried, in the unit of the squares; an orbit that attracts weakly or
@@ -87,7 +87,7 @@ def propose_annuli(field: GuidingField, points: FloatArray) -> Iterator[Annulus]
         field: The field.
         points: (M, 2) on the piece, normalised.
     """
-    polar, unit = _Polar(field, points.mean(axis=0)), Squares.of(field).unit
+    polar, unit = _Polar(field, points.mean(axis=0)), BoxSizes.of(field).unit
     lap = _settled_lap(polar, points)
     if lap is None:
         return

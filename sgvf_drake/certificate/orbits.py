@@ -1,19 +1,162 @@
-"""Closed orbits in rings: is there one only, and how long does a lap take?"""
+"""Closed orbits: rings that hold one, whether it is the only one, and the time of a lap."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from sgvf_drake.arrays import BoolArray, FloatArray
-from sgvf_drake.certificate.boxes import Boxes
-from sgvf_drake.certificate.division import Answer, Division, divide
+from sgvf_drake.certificate.boxes import Answer, Boxes, BoxSizes, Division, divide
 from sgvf_drake.certificate.expansions import RECIPROCAL
 from sgvf_drake.certificate.field_model import dual_field, model_field
 from sgvf_drake.certificate.kernels import SLACK
 from sgvf_drake.certificate.mixture_model import MixtureModel
-from sgvf_drake.certificate.squares import Squares
 from sgvf_drake.certificate.taylor_model import TaylorModel
 from sgvf_drake.fields import GuidingField
+
+# Beyond the rounding of corners and middles, relative to the normalised unit, by far.
+ROUNDING = 1e-12
+# Angles between neighbours are at least this, and the sum of all is a turn within it.
+SMALLEST_ANGLE, TURN_TOLERANCE = 1e-9, 1e-6
+
+
+@dataclass(frozen=True)
+class Annulus:
+    """What is between two polygons whose corners lie on common rays from a centre.
+
+    Attributes:
+        center: (2,) c, in normalised units, as all lengths here.
+        vertices: (K, 2) a polygon in the middle, counter-clockwise around c.
+        widths: (K,) how far the two polygons are from each vertex along its ray.
+    """
+
+    center: tuple[float, float]
+    vertices: tuple[tuple[float, float], ...]
+    widths: tuple[float, ...]
+
+    @classmethod
+    def of(cls, body: Mapping[str, Any]) -> "Annulus":
+        """Returns the ring of a JSON object.
+
+        Raises:
+            TypeError: The object is not that of a ring.
+            ValueError: The same.
+        """
+        points = [(float(x), float(y)) for x, y in (body["center"], *body["vertices"])]
+        return cls(points[0], tuple(points[1:]), tuple(map(float, body["widths"])))
+
+    @property
+    def borders(self) -> tuple[FloatArray, FloatArray]:
+        """The corners (K, 2) of the inner polygon and of the outer one."""
+        center, rays = np.array(self.center), self._rays
+        share = np.array(self.widths)[:, None] / np.linalg.norm(rays, axis=1, keepdims=True)
+        return center + (1 - share) * rays, center + (1 + share) * rays
+
+    @property
+    def is_ring(self) -> bool:
+        """Whether both polygons go around the centre once, one inside of the other.
+
+        With corners on common rays that turn one way, they are star-shaped, and in each
+        sector between two rays their sides do not meet.
+        """
+        rays, widths = self._rays, np.array(self.widths)
+        radii = np.linalg.norm(rays, axis=1)
+        next_rays = np.roll(rays, -1, axis=0)
+        cross = rays[:, 0] * next_rays[:, 1] - rays[:, 1] * next_rays[:, 0]
+        angles = np.arctan2(cross, (rays * next_rays).sum(axis=1))
+        return bool(
+            len(widths) == len(rays) >= 3
+            and (angles > SMALLEST_ANGLE).all()
+            and abs(angles.sum() - 2 * np.pi) < TURN_TOLERANCE
+            and ((widths > 1e3 * ROUNDING) & (widths < radii)).all()
+        )
+
+    def squares(self, fineness: int = 1) -> Boxes:
+        """Returns squares that cover the ring, about as wide as it is or a part of that.
+
+        Args:
+            fineness: So many squares from one polygon to the other.
+        """
+        inner, outer = self.borders
+        length = np.linalg.norm(np.roll(inner, -1, axis=0) - inner, axis=1)
+        along = fineness * int(np.ceil(np.median(length / (2 * np.array(self.widths)))))
+        s = np.linspace(0, 1, fineness + 1)[:, None, None, None]
+        t = np.linspace(0, 1, along + 1)[:, None, None]
+        across = (1 - s) * inner + s * outer
+        points = (1 - t) * across + t * np.roll(across, -1, axis=2)
+        corners = np.stack(
+            [points[i : i + fineness, j : j + along] for i in (0, 1) for j in (0, 1)]
+        ).reshape(4, -1, 2)
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        half = (high - low).max(axis=1) / 2
+        return Boxes((low + high) / 2, half + ROUNDING * (1 + np.abs(high).max()))
+
+    @property
+    def _rays(self) -> FloatArray:
+        return np.asarray(np.array(self.vertices).reshape(-1, 2) - self.center)
+
+
+# Times that a side is halved where its bound does not tell.
+HALVINGS = 5
+
+
+def is_trapping(field: GuidingField, annulus: Annulus) -> tuple[bool, int]:
+    """Whether m points into a ring all along its border, and how many squares that took.
+
+    At a corner m points into the half-planes of both sides, and so into the ring.
+
+    Args:
+        field: m.
+        annulus: The ring, which has to be one (`Annulus.is_ring`).
+    """
+    inner, outer = annulus.borders
+    # Out of the ring is to the right of the outer polygon and to the left of the inner one,
+    # which is to the right when that is walked backwards.
+    start = np.concatenate([outer, np.roll(inner, -1, axis=0)])
+    end = np.concatenate([np.roll(outer, -1, axis=0), inner])
+    squares = 0
+    for _ in range(HALVINGS + 1):
+        outward, at_middle = _outward(field, start, end)
+        squares += len(start)
+        still = ~(outward < 0)
+        if not still.any():
+            return True, squares
+        if (at_middle > 0).any():
+            break
+        start, end = start[still], end[still]
+        middle = (start + end) / 2
+        start, end = np.concatenate([start, middle]), np.concatenate([middle, end])
+    return False, squares
+
+
+def _outward(
+    field: GuidingField, start: FloatArray, end: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Returns bounds of m to the right of segments (n, 2).
+
+    From above on all of them, and from below at their middles.
+    """
+    step = (end - start) / 2
+    half = np.abs(step).max(axis=1)
+    centers = (start + end) / 2
+    off = ROUNDING * (1 + np.abs(centers).max())
+    normal = np.column_stack([step[:, 1], -step[:, 0]])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    with np.errstate(over="ignore", invalid="ignore"):
+        m = model_field(field, Boxes(centers, half + off))
+        across = m.weighted(normal)
+        slope = (across.jacobian[..., 0] * step).sum(axis=1)
+        squares = np.column_stack([step[:, 0] ** 2, step[:, 0] * step[:, 1], step[:, 1] ** 2])
+        bend = (across.quadratic[..., 0] * squares).sum(axis=1)
+        # The middle and the line are off by rounding.
+        rounding = SLACK * across.magnitude[:, 0]
+        rounding += off * np.abs(across.jacobian).sum(axis=(1, 2))
+        at_middle = across.value[:, 0]
+        rest = across.remainder[:, 0] + rounding
+        on_segment = at_middle + np.abs(slope) + np.maximum(bend, 0) + rest
+    return on_segment, at_middle - rest
+
 
 # Of the contraction: a bound of div m from above.
 DIVERGENCE = 0
@@ -91,7 +234,7 @@ class Turning:
             speed = self._angular_speed(boxes)
         facts = np.column_stack([speed.lower, speed.upper])
         width = facts[:, FASTEST] - facts[:, SLOWEST]
-        fine = boxes.half <= FINE * Squares.of(self.field).unit
+        fine = boxes.half <= FINE * BoxSizes.of(self.field).unit
         decided = (facts[:, SLOWEST] > 0) & ((width <= CLOSE * facts[:, FASTEST]) | fine)
         return Answer(decided, facts, len(boxes))
 

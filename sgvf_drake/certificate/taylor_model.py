@@ -8,6 +8,8 @@ an operation makes fewer than `ROUNDINGS` roundings one after another, each of w
 
 At order one the arithmetic is simpler and a square costs less, but the bounds of m near the
 path of a trained field are twice as wide at a half-side of a sixty-fourth.
+
+A `DualModel` is a dual number of such models: functions and their partial derivatives.
 """
 
 from collections.abc import Callable
@@ -223,3 +225,79 @@ def concatenate(models: list[TaylorModel]) -> TaylorModel:
         np.concatenate([model.parts for model in models], axis=-1),
         np.concatenate([model.remainder for model in models], axis=-1),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class DualModel:
+    """Models of k functions and of their two partial derivatives, over each of n squares.
+
+    It has the operations of a `TaylorModel` that a composition asks for.
+
+    Attributes:
+        value: Of the functions.
+        slopes: Of their derivatives by each coordinate.
+    """
+
+    value: TaylorModel
+    slopes: tuple[TaylorModel, TaylorModel]
+
+    @classmethod
+    def position(cls, boxes: Boxes) -> "DualModel":
+        """Returns the models of the two coordinates."""
+        value = TaylorModel.position(boxes)
+        first, second = (
+            TaylorModel.constant(boxes.half, np.broadcast_to(unit, (len(boxes), 2)))
+            for unit in np.eye(2)
+        )
+        return cls(value, (first, second))
+
+    @property
+    def divergence(self) -> TaylorModel:
+        """The model (n, 1) of the divergence of two functions."""
+        along = np.zeros_like(self.value.value)
+        first, second = along.copy(), along.copy()
+        first[:, 0], second[:, 1] = 1.0, 1.0
+        return self.slopes[0].weighted(first) + self.slopes[1].weighted(second)
+
+    def __add__(self, other: "DualModel") -> "DualModel":
+        a, b = self.slopes, other.slopes
+        return DualModel(self.value + other.value, (a[0] + b[0], a[1] + b[1]))
+
+    def __sub__(self, other: "DualModel") -> "DualModel":
+        return self + other.scaled(-1.0)
+
+    def scaled(self, factor: float) -> "DualModel":
+        """Returns the functions times a number."""
+        first, second = self.slopes
+        return DualModel(
+            self.value.scaled(factor), (first.scaled(factor), second.scaled(factor))
+        )
+
+    def shifted(self, offset: float) -> "DualModel":
+        """Returns the functions plus a number."""
+        return DualModel(self.value.shifted(offset), self.slopes)
+
+    def __mul__(self, other: "DualModel") -> "DualModel":
+        a, b = self.value, other.value
+        first, second = (
+            mine * b + a * theirs
+            for mine, theirs in zip(self.slopes, other.slopes, strict=True)
+        )
+        return DualModel(a * b, (first, second))
+
+    def dot(self, other: "DualModel") -> "DualModel":
+        """Returns the sum of the products of the functions."""
+        a, b = self.value, other.value
+        first, second = (
+            mine.dot(b) + a.dot(theirs)
+            for mine, theirs in zip(self.slopes, other.slopes, strict=True)
+        )
+        return DualModel(a.dot(b), (first, second))
+
+    def apply(self, function: Differentiable, *, least: float = -np.inf) -> "DualModel":
+        """Returns a function of each; see `TaylorModel.apply`."""
+        slope = self.value.apply_slope(function, least=least)
+        first, second = self.slopes
+        return DualModel(
+            self.value.apply(function, least=least), (slope * first, slope * second)
+        )

@@ -2,33 +2,73 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
-from sgvf_drake.arrays import BoolArray, FloatArray
-from sgvf_drake.certificate.boxes import Boxes
-from sgvf_drake.certificate.division import Answer, Division, divide
-from sgvf_drake.certificate.dual_model import DualModel, dual_network
-from sgvf_drake.certificate.field_model import (
-    dual_score,
-    has_dual,
-    model_score,
-    simplify,
-)
+from sgvf_drake.arrays import BoolArray, FloatArray, IntArray
+from sgvf_drake.certificate.boxes import Answer, Boxes, Division, divide
+from sgvf_drake.certificate.field_model import dual_score, has_dual, model_score, simplify
 from sgvf_drake.certificate.isolation import (
     ENLARGED,
-    PlanarMap,
+    BoundedMap,
     directions_of,
     isolate,
     may_be_isolated,
 )
 from sgvf_drake.certificate.kernels import SLACK
-from sgvf_drake.certificate.network_model import model_network
-from sgvf_drake.certificate.taylor_model import TaylorModel
-from sgvf_drake.certificate.turns import at_border, proved_winding_number
+from sgvf_drake.certificate.network_model import dual_network, model_network
+from sgvf_drake.certificate.taylor_model import DualModel, TaylorModel
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import GuidingField
+from sgvf_drake.lyapunov import PartName, PlanarZero, PlanarZeros
+
+# Of neighbouring directions that are farther apart, in radians, rounding might tell wrongly on
+# which side of each other they are.
+LARGEST_TURN = 3.0
+
+
+def proved_winding_number(boxes: Boxes, directions: FloatArray, half: float) -> int | None:
+    """Returns how often m turns along the border of a square around the origin.
+
+    Where m . u > 0 on a square and m . w > 0 on the next one, m at their common point is less
+    than a quarter turn away from both.  So from one such point to the next m turns by what u,
+    w, ... turn by, each the short way around, but for its angles to the first and the last;
+    and around the border these are the same.
+
+    Args:
+        boxes: Squares of a dyadic grid in the square, without overlap.
+        directions: (n, 2) u of each, NaN where none is known.
+        half: Half-side of the square.
+
+    Returns:
+        The number, counter-clockwise; None: it is not proved, or they do not cover the border.
+    """
+    sides = _sides(boxes, half)
+    if any(boxes.half[side].sum() != half for side in sides):
+        return None
+    u = directions[np.concatenate(sides)]
+    w = np.roll(u, -1, axis=0)
+    turns = np.arctan2(u[:, 0] * w[:, 1] - u[:, 1] * w[:, 0], (u * w).sum(axis=1))
+    # NaN is not either.
+    if not (np.abs(turns) <= LARGEST_TURN).all():
+        return None
+    return round(float(turns.sum()) / (2 * np.pi))
+
+
+def at_border(boxes: Boxes, half: float) -> BoolArray:
+    """Tells which squares (n,) of a dyadic grid have a side on the border of a square."""
+    return np.asarray(np.abs(boxes.centers).max(axis=1) + boxes.half == half)
+
+
+def _sides(boxes: Boxes, half: float) -> list[IntArray]:
+    """Returns the squares along each side, counter-clockwise; those in corners are on two."""
+    x, y = boxes.centers.T
+    sides = []
+    for outward, forward in ((-y, x), (x, y), (y, -x), (-x, -y)):
+        side = np.flatnonzero(outward + boxes.half == half)
+        sides.append(side[np.argsort(forward[side])])
+    return sides
+
 
 HALF_WIDTH = 5.125
 """Half-side of the square that is searched, normalised units: the field's box, and more than
@@ -43,58 +83,39 @@ MOST_FINE = 1_000
 # the centre and the half-side of an enclosure and its index.
 DIRECTION, POINT, RADIUS, INDEX = slice(0, 2), slice(2, 4), 4, 5
 
-PartName = Literal["guiding", "score", "tangent"]
-
 
 @dataclass(frozen=True, eq=False)
-class EnclosedZero:
-    """A zero of a planar field; all of this is proved.
+class EnclosedZero(PlanarZero):
+    """A zero of a planar field; all of this is proved; see `PlanarZero`.
+
+    Its `point` is the centre of a square that holds the zero and no other; its `kind` is not
+    told more finely than `source`, `sink`, `saddle`, `focus` and `unknown`.
 
     Attributes:
-        point: (2,) the centre of a square that holds the zero and no other, in the unit of
-            the waypoints.
         radius: Half-side of the square.
-        index: The Poincare index of the zero.
-        kind: `source`, `sink`, `saddle` or `focus`, as in `lyapunov.Zero`; `unknown`: bounds
-            do not tell.
-        stable: Whether the zero attracts all nearby; None: bounds do not tell.
     """
 
-    point: FloatArray
     radius: float
-    index: int
-    kind: str
-    stable: bool | None
 
 
 @dataclass(frozen=True, eq=False)
-class ZeroList:
-    """The zeros of a field in a square.
+class ZeroList(PlanarZeros[EnclosedZero]):
+    """The zeros of a field in a square, which do not overlap; see `PlanarZeros`.
+
+    What is `undecided` are squares that may hold further zeros, or the same ones.
 
     Attributes:
         box: Lower and upper corner of the square, which holds the field's box.
-        zeros: The zeros, in squares that do not overlap.
-        undecided: Number of squares that may hold further zeros, or the same ones.
-        winding_number: How often the field turns along the border of the square,
-            counter-clockwise; None: this is not proved.
         boxes: Number of squares over which the field was bounded.
     """
 
     box: tuple[FloatArray, FloatArray]
-    zeros: tuple[EnclosedZero, ...]
-    undecided: int
-    winding_number: int | None
     boxes: int
 
     @property
     def complete(self) -> bool:
         """Whether it is proved that there are no others."""
         return self.undecided == 0
-
-    @property
-    def index_sum(self) -> int:
-        """The sum of the indices; of a complete list the winding number."""
-        return sum(zero.index for zero in self.zeros)
 
 
 def enclose_zeros(field: GuidingField, part: PartName = "guiding") -> ZeroList:
@@ -139,7 +160,7 @@ class _Bounded:
     dual: Callable[[Boxes], DualModel]
 
 
-def _part_of(field: GuidingField, part: PartName) -> PlanarMap:
+def _part_of(field: GuidingField, part: PartName) -> BoundedMap:
     """Returns a part of a field; of m, a positive multiple."""
     score, network = field.score_model, field.tangent_network
     S = _Bounded(
@@ -166,7 +187,7 @@ class _Vanishing:
         margin: See `isolate`.
     """
 
-    function: PlanarMap
+    function: BoundedMap
     half: float
     margin: float
 
@@ -243,14 +264,14 @@ def _distinct(found: Division) -> tuple[FloatArray, int]:
 
 
 def _described(
-    field: GuidingField, function: PlanarMap, facts: FloatArray, rounding: float
+    field: GuidingField, function: BoundedMap, facts: FloatArray, rounding: float
 ) -> tuple[EnclosedZero, ...]:
     """Returns zeros in the unit of the waypoints, with their kinds."""
     z, half = facts[:, POINT], facts[:, RADIUS]
     points, radius = field.cloud.denormalize(z), (half - rounding) * field.cloud.unit_length
     kinds = _kinds(function.dual(Boxes(z, half)), facts[:, INDEX])
     return tuple(
-        EnclosedZero(point, float(side), int(index), *kind)
+        EnclosedZero(point, int(index), *kind, float(side))
         for point, side, index, kind in zip(points, radius, facts[:, INDEX], kinds, strict=True)
     )
 

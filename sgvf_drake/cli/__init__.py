@@ -8,21 +8,17 @@ a mistyped option answer at once.
 # The help lists the commands in this order.
 from sgvf_drake.cli import training  # isort: skip
 from sgvf_drake.cli import flying  # isort: skip
-from sgvf_drake.cli import verifying  # isort: skip
-from sgvf_drake.cli import certifying  # isort: skip
-from sgvf_drake.cli import singularities  # isort: skip
+from sgvf_drake.cli import checking  # isort: skip
 from sgvf_drake.cli import running  # isort: skip
 from sgvf_drake.cli import reproducing  # isort: skip
 from sgvf_drake.cli.application import app, main
 
 __all__ = [
     "app",
-    "certifying",
+    "checking",
     "flying",
     "main",
     "reproducing",
     "running",
-    "singularities",
     "training",
-    "verifying",
 ]

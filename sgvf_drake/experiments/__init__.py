@@ -33,6 +33,7 @@ from sgvf_drake.experiments.scenario import (
 )
 from sgvf_drake.experiments.scene import FlightScene, View
 from sgvf_drake.experiments.singularities import run_singularities
+from sgvf_drake.experiments.theorem import check_theorem
 from sgvf_drake.experiments.tour import TourResult, fly_tour
 from sgvf_drake.experiments.tube import tube_curves
 from sgvf_drake.experiments.velocity_error import (
@@ -40,7 +41,7 @@ from sgvf_drake.experiments.velocity_error import (
     flight_margin,
     flight_tracking,
 )
-from sgvf_drake.experiments.verify import check_theorem, choose_path, run_verify
+from sgvf_drake.experiments.verify import choose_path, run_verify
 
 __all__ = [
     "CertifiedField",

@@ -19,9 +19,9 @@ from sgvf_drake.experiments.results import (
 )
 from sgvf_drake.fields import GuidingField
 from sgvf_drake.lyapunov import (
+    PARTS,
     Singularities,
     Vanishing,
-    Zero,
     find_singularities,
     measure_vanishing,
 )
@@ -59,7 +59,9 @@ def run_singularities(
     path, kind = reference or choose_reference(field)
     with result_folder(out, SINGULARITIES_FILES, overwrite=overwrite) as folder:
         # First, since it refuses some fields.
-        proved = {"proved": proved_summary(field)} if prove else {}
+        proved = {}
+        if prove:
+            proved["proved"] = {part: _proved(enclose_zeros(field, part)) for part in PARTS}
         begin = time.perf_counter()
         found = find_singularities(field)
         vanishing = measure_vanishing(field, found, path)
@@ -99,16 +101,8 @@ def singularity_summary(found: Singularities) -> dict[str, Any]:
     }
 
 
-def proved_summary(field: GuidingField) -> dict[str, Any]:
-    """Returns what is proved of the zeros of a field and of its parts, by their names."""
-    return {
-        "guiding": _proved(enclose_zeros(field)),
-        "score": _proved(enclose_zeros(field, "score")),
-        "tangent": _proved(enclose_zeros(field, "tangent")),
-    }
-
-
 def _proved(found: ZeroList) -> dict[str, Any]:
+    """Returns what is proved of the zeros of a part of a field."""
     return {
         "complete": found.complete,
         "zeros": [
@@ -136,23 +130,17 @@ def zero_rows(found: Singularities, vanishing: Vanishing) -> list[Row]:
     rows = []
     for name, zeros in found.by_field.items():
         for number, zero in enumerate(zeros.zeros):
-            row = _row(zero)
-            if name in around:
-                row |= around[name].at(number)
-            rows.append(row)
+            row = {
+                "field": zero.field,
+                "point": zero.point,
+                "index": zero.index,
+                "kind": zero.kind,
+                "stable": zero.stable,
+                "eigenvalues": [[value.real, value.imag] for value in zero.eigenvalues],
+                "residual": zero.residual,
+            }
+            rows.append(row | (around[name].at(number) if name in around else {}))
     return rows
-
-
-def _row(zero: Zero) -> Row:
-    return {
-        "field": zero.field,
-        "point": zero.point,
-        "index": zero.index,
-        "kind": zero.kind,
-        "stable": zero.stable,
-        "eigenvalues": [[value.real, value.imag] for value in zero.eigenvalues],
-        "residual": zero.residual,
-    }
 
 
 def zero_table(rows: list[Row]) -> pd.DataFrame:

@@ -6,7 +6,6 @@ are lengths along a field of length one, and rates are per unit of length.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 import math
 from typing import Any
 
@@ -15,8 +14,10 @@ import numpy as np
 from sgvf_drake.arrays import BoolArray, FloatArray
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments.simulation import advance, read_log
-from sgvf_drake.fields import AdjustableField, Field
-from sgvf_drake.lyapunov import LyapunovFunction, find_modes
+from sgvf_drake.fields import AdjustableField, Field, GuidingField, TangentField
+from sgvf_drake.lyapunov import LyapunovFunction, Verification, find_modes
+from sgvf_drake.metrics import default_duration, grid_starts
+from sgvf_drake.paths import Reference
 from sgvf_drake.progress import Progress, no_progress
 from systems import MakeKinematicDiagram, MakeSimulator, SetPositions, StopOnExit, SublevelExit
 
@@ -26,6 +27,8 @@ from systems import MakeKinematicDiagram, MakeSimulator, SetPositions, StopOnExi
 STEP_PER_SIGMA = 0.5
 # Halvings of the interval in which a level set lies: down to rounding.
 BISECTIONS = 60
+# Level sets of the band on which x_dot = v starts.
+NUM_LEVEL_SETS = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,19 +55,17 @@ def follow_lyapunov(
     function: LyapunovFunction,
     starts: FloatArray,
     duration: float,
-    speed: float = 1.0,
     level: float = math.inf,
     step: float | None = None,
     progress: Progress = no_progress,
 ) -> LyapunovRun:
-    """Follows x_dot = speed m(x) in one Drake diagram, and V along it.
+    """Follows x_dot = m(x) in one Drake diagram, and V along it.
 
     Args:
         field: The field m.
         function: V, of the field's dimension.
         starts: (n, d) in the field's unit.
         duration: s.
-        speed: In the field's unit per second.
         level: Of a sublevel set that should be invariant: the run ends when an agent that
             was inside is outside.
         step: Length of one step of the integrator where |m| = 1, and of one sample; None:
@@ -76,13 +77,17 @@ def follow_lyapunov(
             used.
         NonFiniteValueError: The field is not finite somewhere on the way.
     """
-    period = (_step(field, function) if step is None else step) / speed
+    period = step
+    if period is None:
+        period = STEP_PER_SIGMA * function.sigma
+        if isinstance(field, AdjustableField):
+            period = min(period, field.approach_length)
     if not (np.isfinite(duration) and duration >= period):
         raise ConfigurationError(
             f"the duration must be a number of at least {period:.3g} s, not {duration}"
         )
     diagram = MakeKinematicDiagram(
-        field, len(starts), speed, log_period=period, lyapunov=function, level=level
+        field, len(starts), 1.0, log_period=period, lyapunov=function, level=level
     )
     simulator = MakeSimulator(diagram, step=period)
     context = simulator.get_mutable_context()
@@ -97,11 +102,6 @@ def follow_lyapunov(
         read_log(diagram, context, "V_dot_log")[1],
         watch.exit,
     )
-
-
-def _step(field: Field, function: LyapunovFunction) -> float:
-    step = STEP_PER_SIGMA * function.sigma
-    return min(step, field.approach_length) if isinstance(field, AdjustableField) else step
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,21 +119,6 @@ class DecreaseCheck:
     lap: float
 
     @property
-    def in_band(self) -> BoolArray:
-        """(T, n) which samples are above c_in; none is above c_out before an exit."""
-        return ~self._below
-
-    @property
-    def largest_rise(self) -> float | None:
-        """The largest V(t + step) - V(t) from a sample in the band; None: there is none."""
-        return _largest(np.diff(self.run.V, axis=0)[self.in_band[:-1]])
-
-    @property
-    def largest_V_dot(self) -> float | None:  # noqa: N802
-        """The largest V_dot at a sample in the band; None: there is none."""
-        return _largest(self.run.V_dot[self.in_band])
-
-    @property
     def entry_times(self) -> FloatArray:
         """(n,) the time of the first sample with V <= c_in; infinity: there is none."""
         first = self.run.times[self._below.argmax(axis=0)]
@@ -147,31 +132,32 @@ class DecreaseCheck:
         return np.where(entered.any(axis=0), largest, np.nan)
 
     @property
-    def mean_on_last_lap(self) -> FloatArray:
-        """(n,) the mean of V over the last lap."""
-        last = self.run.times >= self.run.times[-1] - self.lap
-        return np.asarray(self.run.V[last].mean(axis=0))
-
-    @cached_property
     def _below(self) -> BoolArray:
         return np.less_equal(self.run.V, self.band[0])
 
     def summary(self) -> dict[str, Any]:
-        """Returns the figures by plain names; None where there is nothing to tell of."""
+        """Returns the figures by plain names; None where there is nothing to tell of.
+
+        `V_rise_max` is the largest V(t + step) - V(t) from a sample in the band, and
+        `V_dot_max` the largest V_dot at one.
+        """
+        run, in_band = self.run, ~self._below
         entered = np.isfinite(self.entry_times)
         stayed = entered & (self.largest_after_entry <= self.band[0])
+        last = run.times >= run.times[-1] - self.lap
         return {
             "starts": len(entered),
             "c_in": self.band[0],
             "c_out": self.band[1],
-            "V_rise_max": self.largest_rise,
-            "V_dot_max": self.largest_V_dot,
+            # No sample is above c_out before an exit.
+            "V_rise_max": _largest(np.diff(run.V, axis=0)[in_band[:-1]]),
+            "V_dot_max": _largest(run.V_dot[in_band]),
             "entered_fraction": float(entered.mean()),
             "stayed_fraction": float(stayed.mean()),
             "entry_time_max": _largest(self.entry_times[entered]),
             "V_after_entry_max": _largest(self.largest_after_entry[entered]),
-            "V_last_lap_mean": float(self.mean_on_last_lap.mean()),
-            "exit": None if self.run.exit is None else str(self.run.exit),
+            "V_last_lap_mean": float(run.V[last].mean()),
+            "exit": None if run.exit is None else str(run.exit),
         }
 
 
@@ -349,18 +335,48 @@ class ModeCheck:
         }
 
 
-def check_modes(
-    field: Field, function: LyapunovFunction, num_starts: int | None = None
-) -> ModeCheck:
-    """Evaluates the speed |m| at the modes of the density of V.
+def check_modes(field: Field, function: LyapunovFunction) -> ModeCheck:
+    """Evaluates the speed |m| at the modes of the density of V."""
+    modes = find_modes(function.mixture)
+    return ModeCheck(modes, function(modes), np.linalg.norm(field(modes), axis=1))
+
+
+Checks = tuple[DecreaseCheck, LevelSetCheck, ModeCheck]
+
+
+def check_theorem(
+    field: GuidingField,
+    reference: Reference,
+    found: Verification,
+    starts: int,
+    progress: Progress = no_progress,
+) -> Checks:
+    """Follows the field through its band, and checks Theorem 1 (i) to (iii).
 
     Args:
-        field: The field m.
-        function: V.
-        num_starts: As for `sgvf_drake.lyapunov.find_modes`; None: start from all waypoints.
+        field: The field.
+        reference: The path.
+        found: Its verification, with a band.
+        starts: Agents of the grid, of which those inside {V <= c_out} count.
+        progress: Told how far it is.
     """
-    modes = find_modes(function.mixture, num_starts)
-    return ModeCheck(modes, function(modes), np.linalg.norm(field(modes), axis=1))
+    assert found.band is not None
+    function, c_in, c_out = found.function, found.band.c_in, found.band.c_out
+    grid = grid_starts(field.cloud.box, starts, field.dim)
+    inside = grid[function(grid) <= c_out]
+    # A coarse grid may miss a thin basin; the lowest waypoint lies in it.
+    points = function.mixture.points
+    first = inside if len(inside) else points[[np.argmin(function(points))]]
+    longest = reference.longest
+    duration = default_duration(reference, field.cloud.unit_length)
+    decrease = check_decrease(
+        field, function, (c_in, c_out), first, duration, longest, progress
+    )
+    levels = np.geomspace(c_in, c_out, NUM_LEVEL_SETS).tolist()
+    level_sets = check_level_sets(
+        TangentField(field), function, levels, longest, progress=progress
+    )
+    return decrease, level_sets, check_modes(field, function)
 
 
 def _largest(values: FloatArray) -> float | None:

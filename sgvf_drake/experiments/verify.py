@@ -1,6 +1,7 @@
 """Check the Lyapunov conditions of a field: on samples, along trajectories, and in flight."""
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from os import PathLike
 from pathlib import Path
 import time
@@ -9,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.experiments.figures.theorem import theorem_figure
 from sgvf_drake.experiments.figures.tracking import tracking_figure
-from sgvf_drake.experiments.figures.verification import verification_figure
+from sgvf_drake.experiments.figures.verification import theorem_figure, verification_figure
 from sgvf_drake.experiments.reference import choose_reference
 from sgvf_drake.experiments.results import (
     SUMMARY,
@@ -20,25 +20,15 @@ from sgvf_drake.experiments.results import (
     save_figure,
     write_summary,
 )
-from sgvf_drake.experiments.theorem import (
-    DecreaseCheck,
-    LevelSetCheck,
-    ModeCheck,
-    check_decrease,
-    check_level_sets,
-    check_modes,
-)
+from sgvf_drake.experiments.theorem import check_theorem
 from sgvf_drake.experiments.velocity_error import flight_tracking
-from sgvf_drake.fields import GuidingField, TangentField
+from sgvf_drake.fields import GuidingField
 from sgvf_drake.lyapunov import Verification, learned_path, verify
-from sgvf_drake.metrics import default_duration, grid_starts
 from sgvf_drake.paths import Reference
 from sgvf_drake.progress import Progress, no_progress
 from systems import FieldForSpeed
 
 VERIFY_FILES = (SUMMARY, "verify.png", "theorem.png", "tracking.png")
-# Level sets of the band on which x_dot = v starts.
-NUM_LEVEL_SETS = 5
 
 
 def choose_path(
@@ -92,18 +82,21 @@ def run_verify(
         found = verify(field, path, progress=progress)
         save_figure(verification_figure(field, found), folder / "verify.png")
         summary = {**verification_summary(field, found), "theorem": None, "flight": None}
-        remained = None
         if found.band is not None:
             checks = check_theorem(field, path, found, starts, progress)
             save_figure(theorem_figure(*checks), folder / "theorem.png")
-            summary["theorem"] = theorem_summary(*checks)
-            remained = summary["theorem"]["decrease"]["stayed_fraction"]
-            summary |= _in_view_of(checks[0], summary)
-        summary["assumptions"]["a3"] = {
-            "compact": summary["compact"],
-            "inward": found.margins and bool(found.margins.e_star.min() > 0),
-            "remained_fraction": remained,
-        }
+            decrease, level_sets, modes = (check.summary() for check in checks)
+            summary["theorem"] = {
+                "decrease": decrease,
+                "level_sets": level_sets,
+                "modes": modes,
+            }
+            summary["assumptions"]["a3"]["remained_fraction"] = decrease["stayed_fraction"]
+            # The verdict as the trajectories leave it: one that leaves the set ends it.
+            if not decrease["entered_fraction"] == decrease["stayed_fraction"] == 1.0:
+                seen = decrease["exit"] or "not every agent entered the tube and stayed there"
+                reasons = [seen] if found.holds else [found.reason, seen]
+                summary |= {"holds": False, "reason": "; ".join(reasons)}
         if speed is not None:
             summary["flight"] = _fly(field, path, speed, altitude, folder, progress)
         summary |= {
@@ -120,6 +113,10 @@ def verification_summary(field: GuidingField, found: Verification) -> dict[str, 
     """Returns what the samples showed, by the names of `summary.json`."""
     band, margins = found.band, found.margins
     lower, upper = field.cloud.box
+    compact = band and band.basin.compact
+    e_star_min = margins and float(margins.e_star.min())
+    inward = margins and bool(margins.e_star.min() > 0)
+    a3 = {"compact": compact, "inward": inward, "remained_fraction": None}
     return {
         "holds": found.holds,
         "reason": found.reason,
@@ -132,89 +129,19 @@ def verification_summary(field: GuidingField, found: Verification) -> dict[str, 
         "tube_half_width": band and band.tube.half_width,
         "area_fraction": band and band.basin.area / float(np.prod(upper - lower)),
         "decrease_fraction": found.decrease_fraction,
-        "compact": band and band.basin.compact,
+        "compact": compact,
         "components": band
         and [{"pieces": c.pieces, "holes": c.holes} for c in band.tube.components],
         "e_star_max": margins and margins.largest,
-        "e_star_min": margins and float(margins.e_star.min()),
+        "e_star_min": e_star_min,
         "e_star": margins
         and {"levels": margins.levels, "e_star": margins.e_star, "weakest": margins.weakest},
         "undecided": found.zeros.undecided,
-        "violations": [
-            {
-                "kind": violation.kind,
-                "detail": violation.detail,
-                "point": violation.point,
-                "value": violation.value,
-                "V": violation.V,
-                "area": violation.area,
-                "counts": violation.counts,
-            }
-            for violation in found.violations
-        ],
-        "assumptions": found.assumptions.summary(),
+        "violations": [asdict(violation) for violation in found.violations],
+        "assumptions": {**found.assumptions.summary(), "a3": a3},
         "lemma": found.lemma.summary(),
         "bounds": {bound.name: bound.summary() for bound in found.bounds},
     }
-
-
-Checks = tuple[DecreaseCheck, LevelSetCheck, ModeCheck]
-
-
-def check_theorem(
-    field: GuidingField,
-    reference: Reference,
-    found: Verification,
-    starts: int,
-    progress: Progress = no_progress,
-) -> Checks:
-    """Follows the field through its band, and checks Theorem 1 (i) to (iii).
-
-    Args:
-        field: The field.
-        reference: The path.
-        found: Its verification, with a band.
-        starts: Agents of the grid, of which those inside {V <= c_out} count.
-        progress: Told how far it is.
-    """
-    assert found.band is not None
-    function, c_in, c_out = found.function, found.band.c_in, found.band.c_out
-    grid = grid_starts(field.cloud.box, starts, field.dim)
-    inside = grid[function(grid) <= c_out]
-    # A coarse grid may miss a thin basin; the lowest waypoint lies in it.
-    points = function.mixture.points
-    first = inside if len(inside) else points[[np.argmin(function(points))]]
-    longest = reference.longest
-    duration = default_duration(reference, field.cloud.unit_length)
-    decrease = check_decrease(
-        field, function, (c_in, c_out), first, duration, longest, progress
-    )
-    levels = np.geomspace(c_in, c_out, NUM_LEVEL_SETS).tolist()
-    level_sets = check_level_sets(
-        TangentField(field), function, levels, longest, progress=progress
-    )
-    return decrease, level_sets, check_modes(field, function)
-
-
-def theorem_summary(
-    decrease: DecreaseCheck, level_sets: LevelSetCheck, modes: ModeCheck
-) -> dict[str, Any]:
-    """Returns the three parts by the names of `summary.json`."""
-    return {
-        "decrease": decrease.summary(),
-        "level_sets": level_sets.summary(),
-        "modes": modes.summary(),
-    }
-
-
-def _in_view_of(check: DecreaseCheck, summary: dict[str, Any]) -> dict[str, Any]:
-    """Returns the verdict as the trajectories leave it: one that leaves the set ends it."""
-    found = check.summary()
-    if found["entered_fraction"] == found["stayed_fraction"] == 1.0:
-        return {}
-    seen = found["exit"] or "not every agent entered the tube and stayed there"
-    reasons = [seen] if summary["holds"] else [summary["reason"], seen]
-    return {"holds": False, "reason": "; ".join(reasons)}
 
 
 def _fly(

@@ -3,34 +3,49 @@
 Nothing here is a proof: what the samples show is called "sampled".
 """
 
-from sgvf_drake.lyapunov.band import Band, find_band, search_band
-from sgvf_drake.lyapunov.bounds import Bound, robustness_bounds
+from sgvf_drake.lyapunov.band import (
+    MIN_DECREASE,
+    SIGMA_RATIOS,
+    Band,
+    find_band,
+    search_band,
+)
 from sgvf_drake.lyapunov.conditions import (
     Assumptions,
+    Bound,
     Lemma,
     check_assumptions,
     check_lemma,
+    robustness_bounds,
 )
 from sgvf_drake.lyapunov.function import LyapunovFunction, find_modes
-from sgvf_drake.lyapunov.learned_path import learned_path
 from sgvf_drake.lyapunov.margin import Margins, inward_margins, to_level_set
 from sgvf_drake.lyapunov.samples import Samples, take_samples
-from sgvf_drake.lyapunov.singularities import (
+from sgvf_drake.lyapunov.sublevel import SublevelSet, sublevel_set
+from sgvf_drake.lyapunov.vanishing import NEAR_PATH, Vanishing, measure_vanishing
+from sgvf_drake.lyapunov.verification import Verification, Violation, learned_path, verify
+from sgvf_drake.lyapunov.winding import winding_number
+from sgvf_drake.lyapunov.zero_search import ZeroSearch, find_zeros
+from sgvf_drake.lyapunov.zeros import (
+    KINDS,
+    PARTS,
     FieldZeros,
+    PartName,
+    PlanarZero,
+    PlanarZeros,
     Singularities,
     Zero,
     find_guiding_zeros,
     find_singularities,
     kind_of,
 )
-from sgvf_drake.lyapunov.sublevel import SublevelSet, sublevel_set
-from sgvf_drake.lyapunov.vanishing import Vanishing, measure_vanishing
-from sgvf_drake.lyapunov.verification import Verification, verify
-from sgvf_drake.lyapunov.violations import Violation
-from sgvf_drake.lyapunov.winding import winding_number
-from sgvf_drake.lyapunov.zeros import ZeroSearch, find_zeros
 
 __all__ = [
+    "KINDS",
+    "MIN_DECREASE",
+    "NEAR_PATH",
+    "PARTS",
+    "SIGMA_RATIOS",
     "Assumptions",
     "Band",
     "Bound",
@@ -38,6 +53,9 @@ __all__ = [
     "Lemma",
     "LyapunovFunction",
     "Margins",
+    "PartName",
+    "PlanarZero",
+    "PlanarZeros",
     "Samples",
     "Singularities",
     "SublevelSet",

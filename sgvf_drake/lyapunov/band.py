@@ -5,19 +5,23 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy import ndimage
 
-from sgvf_drake.arrays import FloatArray
+from sgvf_drake.arrays import FloatArray, IntArray
 from sgvf_drake.fields import GuidingField
-from sgvf_drake.lyapunov.critical import critical_levels
+from sgvf_drake.fields.vectors import component_along
 from sgvf_drake.lyapunov.function import LyapunovFunction
 from sgvf_drake.lyapunov.samples import Samples
-from sgvf_drake.lyapunov.scan import Scan
 from sgvf_drake.lyapunov.sublevel import SublevelSet, sublevel_set
 from sgvf_drake.paths import Reference
 from sgvf_drake.progress import Progress, no_progress
 
-# The noise levels of V that are tried, in those of the field.
 SIGMA_RATIOS = (0.7, 1.0, 1.4, 2.0, 2.8)
+"""The noise levels of V that are tried, in those of the field."""
+
+MIN_DECREASE = 0.01
+"""V has to fall by more than this in every U of travel (at |m| = 1)."""
+
 # Bands with at least this share of the largest area are as good; of these, the thinnest tube.
 NEARLY = 0.95
 # Samples have gaps: a band keeps this distance from the levels where V was seen not to fall.
@@ -28,6 +32,18 @@ LEVEL_FLOOR = 0.03
 MIN_BAND = 0.5
 # A tube that reaches farther from the path than so many U does not lead along it.
 MAX_HALF_WIDTH = 0.5
+# So many samples on each of so many levels of a band are followed to worse places, by steps
+# of half a noise level that shrink to a hundredth of it.
+CLIMBERS = 20
+CLIMB_LEVELS = 24
+CLIMB_STEPS = 20
+CLIMB_SHRINK = 0.82
+# Newton steps from the smallest gradients of the grid to the critical points of V, where
+# |grad V| sigma is below the second number; Hessians of a smaller determinant, times
+# sigma^4, are singular.
+NEWTON_STEPS = 20
+CRITICAL = 1e-6
+SINGULAR = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,27 +126,61 @@ def find_band(
     The lowest, since past a critical level of V nothing follows for the tube below it.
     """
     rng = np.random.default_rng(seed)
-    scan = Scan.of(field, function, samples)
-    slope = np.linalg.norm(samples.as_grid(scan.gradient), axis=2)
-    bad = np.append(scan.bad_levels, critical_levels(function, samples, slope))
+    unit, box = field.cloud.unit_length, field.cloud.box
+    V, gradient = function.value_and_gradient(samples.x)
+    V_dot = (gradient * samples.m).sum(axis=1)
+    outward = component_along(gradient, samples.m)
+    slope = np.linalg.norm(samples.as_grid(gradient), axis=2)
+    bad = np.append(V[V_dot > -MIN_DECREASE / unit], critical_levels(function, samples, slope))
     if stops is not None:
         bad = np.append(bad, function(stops))
-    widest = MAX_HALF_WIDTH * field.cloud.unit_length
+    grid = samples.as_grid(V)
+    border = min(side.min() for side in (grid[0], grid[-1], grid[:, 0], grid[:, -1]))
     lowest = 0.0
-    while (gap := _first_gap(bad, scan.border_level, lowest)) is not None:
-        V, V_dot = scan.climb(*gap, rng)
-        worse = V[V_dot > -scan.min_decrease]
+    while (gap := _first_gap(bad, float(border), lowest)) is not None:
+        c_in, c_out = gap
+        inside = np.flatnonzero((c_in <= V) & (c_out >= V))
+        weak = inside[_weakest(V[inside], outward[inside], gap)]
+        climbers = (samples.x[weak], V[weak], V_dot[weak], outward[weak])
+        found_V, found_V_dot = _climb(field, function, climbers, gap, rng)
+        worse = found_V[found_V_dot > -MIN_DECREASE / unit]
         if len(worse):
             bad = np.append(bad, worse)
             continue
-        (c_in, c_out), box = gap, field.cloud.box
         tube = sublevel_set(function, c_in, reference, box)
         # A band without a sample says nothing.
-        if len(V) and tube.follows(reference.closed) and tube.half_width <= widest:
-            decrease = min(scan.smallest_decrease(c_in, c_out), -float(V_dot.max()))
+        thin = tube.half_width <= MAX_HALF_WIDTH * unit
+        if len(weak) and tube.follows(reference.closed) and thin:
+            decrease = -max(float(V_dot[inside].max()), float(found_V_dot.max()))
             return Band(function, c_in, c_out, decrease, tube, reference, box)
         lowest = c_out
     return None
+
+
+def critical_levels(
+    function: LyapunovFunction, samples: Samples, slope: FloatArray
+) -> FloatArray:
+    """Returns the levels of the critical points of V in the box, at which V_dot is zero.
+
+    They are found from the local minima of |grad V| on the grid by Newton's method; V falls
+    fast so near to them that samples miss them.
+
+    Args:
+        function: V.
+        samples: Whose grid is searched.
+        slope: |grad V| on that grid, (ky, kx).
+    """
+    lowest = slope == ndimage.minimum_filter(slope, size=3)
+    x = samples.x[samples.on_grid][lowest.ravel()]
+    for _ in range(NEWTON_STEPS):
+        gradient, hessian = function.gradient_and_hessian(x)
+        regular = np.abs(np.linalg.det(hessian)) > SINGULAR / function.sigma**4
+        x, gradient, hessian = x[regular], gradient[regular], hessian[regular]
+        x = x - np.linalg.solve(hessian, gradient[:, :, None])[:, :, 0]
+    found = np.linalg.norm(function.gradient(x), axis=1) < CRITICAL / function.sigma
+    lower, upper = samples.corners
+    inside = ((lower <= x) & (x <= upper)).all(axis=1)
+    return function(x[found & inside])
 
 
 def _first_gap(bad: FloatArray, border: float, lowest: float) -> tuple[float, float] | None:
@@ -140,3 +190,47 @@ def _first_gap(bad: FloatArray, border: float, lowest: float) -> tuple[float, fl
     c_out = (1 - LEVEL_MARGIN) * np.append(levels, border)
     wide = np.flatnonzero((c_out - c_in >= MIN_BAND) & (c_in > lowest))
     return (float(c_in[wide[0]]), float(c_out[wide[0]])) if len(wide) else None
+
+
+def _weakest(V: FloatArray, outward: FloatArray, gap: tuple[float, float]) -> IntArray:
+    """Returns which points of a band have the smallest inward speed on levels all over it."""
+    level = np.digitize(V, np.geomspace(*gap, CLIMB_LEVELS + 1)[1:-1])
+    order = np.lexsort((-outward, level))
+    # How many points of its level come before each.
+    first = np.searchsorted(level[order], level[order])
+    return np.asarray(order[np.arange(len(order)) - first < CLIMBERS])
+
+
+def _climb(
+    field: GuidingField,
+    function: LyapunovFunction,
+    climbers: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    gap: tuple[float, float],
+    rng: np.random.Generator,
+) -> tuple[FloatArray, FloatArray]:
+    """Returns V and V_dot at points of a band where m flows in least, (k,) each.
+
+    Points are pushed to where the inward normal speed is smaller still, by trial: what lies
+    between the samples is to be found.
+
+    Args:
+        field: The field m.
+        function: V.
+        climbers: Points (k, 2), and there V, V_dot and the outward normal speed of m.
+        gap: The lowest and the highest level of the band.
+        rng: Draws the steps.
+    """
+    x, V, V_dot, outward = climbers
+    step = 0.5 * function.sigma
+    for _ in range(CLIMB_STEPS):
+        trial = x + step * rng.standard_normal(x.shape)
+        trial_V, gradient = function.value_and_gradient(trial)
+        m = field(trial)
+        trial_outward = component_along(gradient, m)
+        better = (trial_outward > outward) & (gap[0] <= trial_V) & (trial_V <= gap[1])
+        x = np.where(better[:, None], trial, x)
+        V = np.where(better, trial_V, V)
+        V_dot = np.where(better, (gradient * m).sum(axis=1), V_dot)
+        outward = np.where(better, trial_outward, outward)
+        step *= CLIMB_SHRINK
+    return V, V_dot

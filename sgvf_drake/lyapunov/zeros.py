@@ -1,187 +1,217 @@
-"""All zeros of a planar field in a box: by subdivision, each refined by Newton's method.
+"""The zeros of a planar guiding field, of its score and of its tangent, and what they are."""
 
-Every cell of a quadtree ends in one of four ways: the field does not vanish in it; it holds
-exactly one zero, which is found; it is quartered; or it is left at the smallest size as
-undecided, as where zeros are degenerate or form a line.
-"""
-
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Generic, Literal, TypeVar
 
 import numpy as np
-from scipy.spatial import cKDTree
+from numpy.typing import NDArray
 
-from sgvf_drake.arrays import BoolArray, FloatArray, IntArray
+from sgvf_drake.arrays import FloatArray
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.fields import Field
-from sgvf_drake.lyapunov.cell_model import (
-    CellModel,
-    InChunks,
-    PlanarMap,
-    adjugate,
-    is_one_to_one,
+from sgvf_drake.fields import (
+    Field,
+    GuidingField,
+    NormalisedComposition,
+    PaperComposition,
+    ScoreField,
+    TangentField,
 )
-from sgvf_drake.lyapunov.cells import Cells
-from sgvf_drake.lyapunov.undecided import Cluster, cluster_of, flat_cells
+from sgvf_drake.lyapunov.winding import box_corners, winding_number
+from sgvf_drake.lyapunov.zero_search import find_zeros
 
-# Side of the first cells, in scales of the field.
-FIRST_CELL = 1.0
-# The scale where none is given, and the side of the smallest cells, in sides of the box.
-DEFAULT_SCALE = 1 / 64
-SMALLEST_CELL = 2.0**-30
-# Where the box is small and far from the origin, cells are at least so many times the distance
-# between neighbouring numbers.
-SPACINGS = 1_000
-# A search that would need more cells than this leaves what remains undecided.
-MOST_CELLS = 300_000
-# A zero is looked for in a cell enlarged by this factor, so that one on the border between
-# two cells is found from both.
-ENLARGED = 1.25
-# Newton's method doubles the digits in every step; these are enough for all of them.
-NEWTON_STEPS = 8
-# The last step is shorter than this part of the cell's half-side; the next would not show.
-NEWTON_TOLERANCE = 1e-6
-# A zero this far outside of the box, in its sides, is on its border.
-ROUNDING = 1e-12
+KINDS = ("source", "sink", "saddle", "focus", "centre", "degenerate")
+"""What a zero can be: two real eigenvalues of one sign (source, sink) or of both (saddle), two
+complex ones (focus), two imaginary ones (centre), or not told by them."""
+
+PartName = Literal["guiding", "score", "tangent"]
+PARTS: tuple[PartName, ...] = ("guiding", "score", "tangent")
+"""Of what zeros are looked for: m, the raw score S, and the tangent network."""
+
+NEGLIGIBLE = 1e-6
+"""An imaginary or a real part below this share of the eigenvalue is zero: rounding splits a
+double eigenvalue by the square root of 1e-16."""
+
+BOX_GROWTH = (1.0, 1.001, 1.002)
+"""Where a field vanishes on the border of the box, a box larger by this is taken."""
+
+Box = tuple[FloatArray, FloatArray]
 
 
 @dataclass(frozen=True, eq=False)
-class ZeroSearch:
-    """What `find_zeros` found.
+class PlanarZero:
+    """A zero of a planar field, found or proved.
 
     Attributes:
-        points: (k, 2) the zeros.
-        indices: (k,) their Poincare indices.
-        degenerate: (k,) whether each stands for a cluster of cells that remained undecided.
-        undecided: Number of those clusters, whether or not they hold a zero.
+        point: (2,) where it is, in the unit of the waypoints.
+        index: Its Poincare index.
+        kind: One of `KINDS`, or `unknown` where bounds do not tell.
+        stable: Whether it attracts all nearby; None: bounds do not tell.
+    """
+
+    point: FloatArray
+    index: int
+    kind: str
+    stable: bool | None
+
+
+AnyZero = TypeVar("AnyZero", bound=PlanarZero)
+
+
+@dataclass(frozen=True, eq=False)
+class PlanarZeros(Generic[AnyZero]):
+    """The zeros of one field in a box, found or proved.
+
+    Attributes:
+        zeros: The zeros.
+        winding_number: How often the field turns along the border of the box,
+            counter-clockwise; None: this is not proved.
+        undecided: Number of places where it is open whether there is a zero.
+    """
+
+    zeros: tuple[AnyZero, ...]
+    winding_number: int | None
+    undecided: int
+
+    @property
+    def index_sum(self) -> int:
+        """The sum of the indices; of all zeros the winding number (Poincare and Hopf)."""
+        return sum(zero.index for zero in self.zeros)
+
+    @property
+    def points(self) -> FloatArray:
+        """Where the zeros are, (k, 2)."""
+        return np.array([zero.point for zero in self.zeros]).reshape(-1, 2)
+
+
+@dataclass(frozen=True, eq=False)
+class Zero(PlanarZero):
+    """A zero that the search found; see `PlanarZero`.
+
+    Attributes:
+        field: `guiding`, `score` or `tangent`.
+        eigenvalues: (2,) of the Jacobian there, complex; of a field that is normalised, and of
+            the tangent, before that.
+        residual: The length of the same field there.
+    """
+
+    field: str
+    eigenvalues: NDArray[np.complex128]
+    residual: float
+
+
+@dataclass(frozen=True, eq=False)
+class FieldZeros(PlanarZeros[Zero]):
+    """The zeros that the search found in a box; see `PlanarZeros`.
+
+    Attributes:
         cells: Number of cells over which the field was evaluated.
     """
 
-    points: FloatArray
-    indices: IntArray
-    degenerate: BoolArray
-    undecided: int
     cells: int
 
 
-def find_zeros(
-    field: Field, box: tuple[FloatArray, FloatArray], scale: float | None = None
-) -> ZeroSearch:
-    """Finds all zeros of a planar field in a box, its border included.
+@dataclass(frozen=True, eq=False)
+class Singularities:
+    """The zeros of a guiding field and of its parts.
 
-    All of them, as far as the rims of cells tell what is in them; see `cell_model`.
+    Attributes:
+        box: Lower and upper corner of the box that was searched.
+        guiding: The zeros of m.
+        score: Those of the raw score S.
+        tangent: Those of the tangent network.
+    """
 
-    Args:
-        field: The field, differentiable where it vanishes.
-        box: Lower and upper corner, (2,) each.
-        scale: The length over which the field changes, in the unit of the box; None: a 64th
-            of the box.
+    box: Box
+    guiding: FieldZeros
+    score: FieldZeros
+    tangent: FieldZeros
+
+    @property
+    def by_field(self) -> Mapping[PartName, FieldZeros]:
+        """The zeros of all three, by the names of their fields."""
+        return {"guiding": self.guiding, "score": self.score, "tangent": self.tangent}
+
+
+def find_singularities(field: GuidingField) -> Singularities:
+    """Finds the zeros of a planar field, of its score and of its tangent in its box.
 
     Raises:
-        ConfigurationError: The field or the box is not planar, or the field vanishes along a
-            line that reaches the border of the box, so that its zeros have no index.
+        ConfigurationError: The field is not planar, or vanishes along a line that leaves the
+            box.
     """
-    lower, upper = (np.asarray(corner, dtype=np.float64) for corner in box)
-    if field.dim != 2 or lower.shape != (2,) or upper.shape != (2,):
-        raise ConfigurationError("zeros are found of planar fields in planar boxes only")
-    size = float((upper - lower).max())
-    first = Cells.covering(
-        (lower, upper), FIRST_CELL * (DEFAULT_SCALE * size if scale is None else scale)
-    )
-    values = InChunks(field)
-    finest = SPACINGS * float(np.spacing(np.abs([lower, upper]).max()))
-    points, undecided, count = _search(values, first, max(SMALLEST_CELL * size, finest))
-    indices = np.sign(np.linalg.det(values.value_and_jacobian(points)[1])).astype(np.intp)
-    clusters = [cluster_of(values, cells, points, indices) for cells in undecided]
-    return _within(box, size, points, indices, clusters, count)
+    box, found = _find(field, PARTS)
+    return Singularities(box, *found)
 
 
-def _search(
-    field: PlanarMap, cells: Cells, smallest: float
-) -> tuple[FloatArray, list[Cells], int]:
-    """Returns the simple zeros (k, 2), clusters of undecided cells, and the number of cells."""
-    count, found = len(cells), [np.empty((0, 2))]
-    cells, smooth = _left_over(field, cells)
-    flat = flat_cells(field, cells)
-    # What is beside them counts as part of them: there, the field does not vanish.
-    beside = cells[flat].grown().contains(cells.centers)
-    lines, cells, smooth = cells[flat], cells[~beside], smooth[~beside]
-    while len(cells):
-        zeros, decided = _single_zeros(field, cells, smooth)
-        found.append(zeros)
-        cells = cells[~decided]
-        if cells.half < smallest or count + 4 * len(cells) > MOST_CELLS:
-            break
-        cells = cells.quartered()
-        count += len(cells)
-        cells, smooth = _left_over(field, cells)
-    points = _distinct(np.concatenate(found), smallest)
-    return points, [*lines.clusters(), *cells.clusters()], count
+def find_guiding_zeros(field: GuidingField) -> FieldZeros:
+    """Finds the zeros of a planar field alone; see `find_singularities`."""
+    _, (found,) = _find(field, ("guiding",))
+    return found
 
 
-def _left_over(field: PlanarMap, cells: Cells) -> tuple[Cells, BoolArray]:
-    """Returns the cells in which a field may vanish, and where it is nearly linear in them."""
-    model = CellModel.over(field, cells)
-    left = ~model.vanishes_nowhere()
-    return cells[left], model.is_nearly_linear()[left]
+def kind_of(jacobian: FloatArray) -> str:
+    """Returns the kind of a simple zero, from the Jacobian (2, 2) there."""
+    eigenvalues = np.linalg.eigvals(jacobian)
+    real, imaginary = eigenvalues.real, np.abs(eigenvalues.imag).max()
+    size = np.abs(eigenvalues).max()
+    if imaginary > NEGLIGIBLE * size:
+        return "centre" if np.abs(real).max() <= NEGLIGIBLE * size else "focus"
+    if real.min() < 0 < real.max():
+        return "saddle"
+    return "source" if real.min() > 0 else "sink"
 
 
-def _single_zeros(
-    field: PlanarMap, cells: Cells, smooth: BoolArray
-) -> tuple[FloatArray, BoolArray]:
-    """Returns zeros (k, 2), and whether each cell has one and no other, (n,).
-
-    Args:
-        field: The field.
-        cells: The cells, n of them.
-        smooth: (n,) in which of them to look.
-    """
-    half = ENLARGED * cells.half
-    decided = np.zeros(len(cells), bool)
-    candidates = np.flatnonzero(smooth)
-    candidates = candidates[is_one_to_one(field, cells.centers[candidates], half)]
-    zeros, converged = _newton(field, cells.centers[candidates], half)
-    decided[candidates[converged]] = True
-    return zeros[converged], decided
-
-
-def _newton(field: PlanarMap, centers: FloatArray, half: float) -> tuple[FloatArray, BoolArray]:
-    """Returns where Newton's method leads from the centres, and whether to a zero nearby."""
-    x = centers.copy()
-    inside = np.ones(len(x), bool)
-    last = np.full(len(x), np.inf)
-    for _ in range(NEWTON_STEPS):
-        value, J = field.value_and_jacobian(x[inside])
-        determinant = np.linalg.det(J)
-        # Where the Jacobian is singular, there is no step to a zero.
-        determinant[determinant == 0] = np.inf
-        step = (adjugate(J) @ value[:, :, None])[:, :, 0] / determinant[:, None]
-        x[inside] -= step
-        last[inside] = np.where(np.isinf(determinant), np.inf, np.abs(step).max(axis=1))
-        inside = np.abs(x - centers).max(axis=1) <= half
-    return x, inside & (last <= NEWTON_TOLERANCE * half)
+def _find(field: GuidingField, names: Sequence[PartName]) -> tuple[Box, list[FieldZeros]]:
+    """Returns the box that was searched, and the zeros of each part in it."""
+    if field.dim != 2:
+        raise ConfigurationError(
+            f"singularities are found of planar fields, not in {field.dim} dimensions"
+        )
+    unnormalised = replace(field, composition=PaperComposition(field.composition.gain))
+    normalises = isinstance(field.composition, NormalisedComposition)
+    parts: dict[PartName, Field] = {
+        "guiding": unnormalised if normalises else field,
+        "score": ScoreField(field),
+        "tangent": TangentField(unnormalised),
+    }
+    scale = field.mixture.sigma
+    box, turns = _clear_box([parts[name] for name in names], field.cloud.box, scale)
+    return box, [
+        _field_zeros(name, parts[name], box, scale, number)
+        for name, number in zip(names, turns, strict=True)
+    ]
 
 
-def _distinct(points: FloatArray, distance: float) -> FloatArray:
-    """Returns one of points that are nearer to each other than a distance."""
-    kept = np.ones(len(points), bool)
-    kept[cKDTree(points).query_pairs(distance, output_type="ndarray")[:, 1]] = False
-    return points[kept]
+def _clear_box(fields: Sequence[Field], box: Box, spacing: float) -> tuple[Box, list[int]]:
+    """Returns a box on whose border no field vanishes, and their winding numbers there."""
+    middle, half = (box[0] + box[1]) / 2, (box[1] - box[0]) / 2
+    for growth in BOX_GROWTH:
+        grown = (middle - growth * half, middle + growth * half)
+        try:
+            corners = box_corners(grown)
+            return grown, [winding_number(field, corners, spacing) for field in fields]
+        except ConfigurationError as error:
+            vanishes = error
+    raise vanishes
 
 
-def _within(
-    box: tuple[FloatArray, FloatArray],
-    size: float,
-    points: FloatArray,
-    indices: IntArray,
-    clusters: list[Cluster],
-    count: int,
-) -> ZeroSearch:
-    """Joins the simple zeros and those of clusters, and drops those outside of the box."""
-    held = [cluster for cluster in clusters if cluster.vanishes]
-    points = np.concatenate([points, *(cluster.point[None] for cluster in held)])
-    indices = np.append(indices, [cluster.index for cluster in held]).astype(np.intp)
-    degenerate = np.arange(len(points)) >= len(points) - len(held)
-    # The last bits of a zero on the border may lie beyond it.
-    slack = ROUNDING * size
-    inside = ((points >= box[0] - slack) & (points <= box[1] + slack)).all(axis=1)
-    return ZeroSearch(points[inside], indices[inside], degenerate[inside], len(clusters), count)
+def _field_zeros(name: str, field: Field, box: Box, scale: float, turns: int) -> FieldZeros:
+    search = find_zeros(field, box, scale)
+    values, jacobians = field.value_and_jacobian(search.points)
+    zeros = []
+    for number, jacobian in enumerate(jacobians):
+        eigenvalues = np.linalg.eigvals(jacobian).astype(np.complex128)
+        kind = "degenerate" if search.degenerate[number] else kind_of(jacobian)
+        zeros.append(
+            Zero(
+                field=name,
+                point=search.points[number],
+                index=int(search.indices[number]),
+                kind=kind,
+                stable=kind != "centre" and bool(eigenvalues.real.max() < 0),
+                eigenvalues=eigenvalues,
+                residual=float(np.linalg.norm(values[number])),
+            )
+        )
+    return FieldZeros(tuple(zeros), turns, search.undecided, search.cells)

@@ -15,8 +15,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from sgvf_drake.certificate.boxes import Boxes
-from sgvf_drake.certificate.division import CHUNK
+from sgvf_drake.certificate.boxes import CHUNK, Boxes
 from sgvf_drake.certificate.network_model import model_network
 from sgvf_drake.fields import FloatArray, Perceptron, find_activation
 from tests.sgvf_drake.certificate.ball_fields import BallNetwork

@@ -11,8 +11,8 @@ import pandas as pd
 import pytest
 
 import sgvf_drake as sgvf
+from sgvf_drake.certificate.boxes import BoxSizes
 from sgvf_drake.certificate.mixture_model import MixtureModel, lowest_of, mixture_of
-from sgvf_drake.certificate.squares import Squares
 from tests.sgvf_drake.certificate.audit import audit, random_boxes
 
 pytestmark = pytest.mark.benchmark
@@ -35,7 +35,7 @@ def audit_case(shape: str, recipe: str, ratio: float) -> list[dict[str, object]]
     field = sgvf.train(cloud, sgvf.TrainingConfig(recipe=recipe)).field
     mixture = mixture_of(field, ratio * field.sigma)
     levels = MixtureModel(mixture, lowest_of(mixture))
-    squares, rng = Squares.of(field), np.random.default_rng(0)
+    squares, rng = BoxSizes.of(field), np.random.default_rng(0)
     halves = (squares.first, squares.ring, squares.unit / 16, squares.unit / 128, squares.last)
     rows = []
     for half in halves:

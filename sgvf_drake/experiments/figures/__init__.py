@@ -9,9 +9,8 @@ from sgvf_drake.experiments.figures.runs import (
     trajectory_table,
 )
 from sgvf_drake.experiments.figures.singularities import log_density_figure, singularity_figure
-from sgvf_drake.experiments.figures.theorem import theorem_figure
 from sgvf_drake.experiments.figures.tracking import tracking_figure
-from sgvf_drake.experiments.figures.verification import verification_figure
+from sgvf_drake.experiments.figures.verification import theorem_figure, verification_figure
 
 __all__ = [
     "field_figure",

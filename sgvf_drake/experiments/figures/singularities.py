@@ -71,10 +71,8 @@ def log_density_figure(field: GuidingField, found: Singularities) -> Figure:
     figure = Figure(figsize=(14, 6.2), layout="constrained")
     marks = plot_density_map(figure.add_subplot(1, 2, 1), field, found)[-2:]
     plot_density_surface(figure.add_subplot(1, 2, 2, projection="3d"), field, found)
-    names = [
-        f"zeros of S ({len(found.score.zeros)})",
-        f"zeros of m ({len(found.guiding.zeros)})",
-    ]
+    score, guiding = (len(zeros.zeros) for zeros in (found.score, found.guiding))
+    names = [f"zeros of S ({score})", f"zeros of m ({guiding})"]
     figure.legend(marks, names, loc="outside lower center", ncols=2, frameon=False)
     return figure
 
@@ -126,11 +124,7 @@ def plot_density_surface(
     artists += _mark_both(axes, *raised)
     axes.view_init(ELEVATION, AZIMUTH)
     axes.set_box_aspect(PROPORTIONS, zoom=1.1)
-    axes.set(
-        xlabel=f"x [{UNIT}]",
-        ylabel=f"y [{UNIT}]",
-        title="log-density as a surface",
-    )
+    axes.set(xlabel=f"x [{UNIT}]", ylabel=f"y [{UNIT}]", title="log-density as a surface")
     # The colour bar of the map tells the height better than an axis seen from above.
     axes.set_zticks([])
     return artists
@@ -165,11 +159,11 @@ def _mark_both(axes: Any, score: FloatArray, guiding: FloatArray) -> list[Artist
 def _scatter(axes: Any, points: FloatArray, mark: tuple[str, str, str], size: float) -> Artist:
     """Draws points (k, 2) or (k, 3) with a marker, its face and its edge."""
     marker, face, edge = mark
-    style = {"s": size, "marker": marker, "color": face, "edgecolor": edge, "zorder": 3}
-    if points.shape[1] == 3:
-        # What lies farther away is no less of a zero.
-        style["depthshade"] = False
-    artist: Artist = axes.scatter(*points.T, **style)
+    # What lies farther away on a surface is no less of a zero.
+    flat = {"depthshade": False} if points.shape[1] == 3 else {}
+    artist: Artist = axes.scatter(
+        *points.T, s=size, marker=marker, color=face, edgecolor=edge, zorder=3, **flat
+    )
     return artist
 
 

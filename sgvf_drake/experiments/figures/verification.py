@@ -1,6 +1,5 @@
-"""The figure of a verification: where V falls, the tube from near, the flow, the bounds."""
+"""The figures of a verification: where V falls on samples, and Theorem 1 along trajectories."""
 
-from collections.abc import Sequence
 from typing import Any
 
 from matplotlib.artist import Artist
@@ -13,24 +12,23 @@ import numpy as np
 
 from sgvf_drake import plotting
 from sgvf_drake.arrays import FloatArray
-from sgvf_drake.fields import Field, GuidingField
+from sgvf_drake.experiments.theorem import DecreaseCheck, LevelSetCheck, ModeCheck
+from sgvf_drake.fields import GuidingField
 from sgvf_drake.fields.vectors import component_along
-from sgvf_drake.lyapunov import LyapunovFunction, Verification, Violation
-from sgvf_drake.lyapunov.bounds import NEARLY as BOUND_NEARLY
-from sgvf_drake.lyapunov.scan import MIN_DECREASE
+from sgvf_drake.lyapunov import MIN_DECREASE, Verification
+from sgvf_drake.lyapunov.conditions import NEARLY as BOUND_NEARLY
 
 # The states of a point of the map: outside of the band and V falls, in the band, in the tube,
 # and V does not fall.
 OUTSIDE, FALLS, TUBE, RISES = "#eef1f3", "#c3dbec", plotting.GREEN, "#f2a27e"
 LEVELS = "#8fa9bb"
 # Of the map of the bounds: none fails, the first, the third, both.
-BOUND_COLORS = (OUTSIDE, plotting.ORANGE, plotting.BLUE, plotting.RED)
-BOUND_LABELS = (
-    "all three hold",
-    "printed bound fails",
-    "bound with the true gradient missed by over 1 %",
-    "both",
-)
+BOUNDS = {
+    "all three hold": OUTSIDE,
+    "printed bound fails": plotting.ORANGE,
+    "bound with the true gradient missed by over 1 %": plotting.BLUE,
+    "both": plotting.RED,
+}
 # A legend below its axes.
 BELOW: dict[str, Any] = {
     "loc": "upper center",
@@ -47,149 +45,81 @@ MAP_LEVELS = 10
 PROFILE_BINS = 60
 # Below this V the profile is that of the path itself, where V has nowhere to fall.
 PROFILE_FLOOR = 1e-3
+# Trajectories of V that are drawn: an even selection of many.
+MAX_LINES = 150
+# The way in is drawn up to this many times the last entry.
+SHOWN_ENTRIES = 2.5
+# V goes through zero on the modes; it is drawn down to this part of the band's lower end.
+SHOWN_BELOW = 0.02
+LEVEL_COLORS = (plotting.BLUE, plotting.ORANGE, plotting.GREEN, plotting.RED)
 
 
 def verification_figure(field: GuidingField, found: Verification) -> Figure:
     """Returns maps of V_dot and the bounds, the tube from near, and the flow by level of V."""
-    figure, axes = plotting.new_figure(2, 2, 12.5, 11.5)
+    figure, (box, near, profile, bounds) = plotting.new_figure(2, 2, 12.5, 11.5)
     unit = "unit of the waypoints"
-    plot_decrease(axes[0], found, field.cloud.unit_length)
-    plotting.plot_waypoints(axes[0], field.cloud.points)
-    plot_violations(axes[0], found.violations)
+    _draw_decrease(box, field, found)
     title = "holds" if found.holds else "does NOT hold"
-    plotting.plane_axes(axes[0], unit, f"where V falls along m (sampled): {title}")
-    center, half = _window(field, found)
-    plot_tube(axes[1], field, found, center, half)
-    plotting.plot_waypoints(axes[1], field.cloud.points)
+    plotting.plane_axes(box, unit, f"where V falls along m (sampled): {title}")
+    _draw_tube(near, field, found)
     place = "the weakest place of the tube" if found.holds else "the first violation"
-    plotting.plane_axes(axes[1], unit, f"{place} from near, and m")
-    axes[1].set(xlim=center[0] + half * np.array([-1, 1]))
-    axes[1].set(ylim=center[1] + half * np.array([-1, 1]))
-    plot_profile(axes[2], found)
-    plot_bounds(axes[3], found)
-    plotting.plane_axes(
-        axes[3], unit, "where the bounds on the paper's V_dot and the true one hold"
-    )
-    axes[0].legend(handles=_handles(found), **BELOW)
+    plotting.plane_axes(near, unit, f"{place} from near, and m")
+    _draw_profile(profile, found)
+    _draw_bounds(bounds, found)
+    title = "where the bounds on the paper's V_dot and the true one hold"
+    plotting.plane_axes(bounds, unit, title)
+    box.legend(handles=_handles(found), **BELOW)
     return figure
 
 
-def plot_bounds(axes: Axes, found: Verification) -> Sequence[Artist]:
-    """Draws where the printed bound fails, and where the one with the true gradient is missed.
-
-    The bound with the squashed score always holds.
-    """
-    paper, _, gradient = found.bounds
-    x, y = found.samples.axes
-    state = found.samples.as_grid(~paper.holds + 2 * (gradient.excess > BOUND_NEARLY))
-    axes.legend(
-        handles=[
-            Patch(color=color, label=label)
-            for color, label in zip(BOUND_COLORS, BOUND_LABELS, strict=True)
-        ],
-        **BELOW,
-    )
-    colors = ListedColormap(BOUND_COLORS)
-    return [axes.pcolormesh(x, y, state, cmap=colors, vmin=0, vmax=3)]
-
-
-def plot_decrease(axes: Axes, found: Verification, unit_length: float) -> Sequence[Artist]:
-    """Draws over the box where V falls and where not, level sets of V, and the band."""
+def _draw_decrease(axes: Axes, field: GuidingField, found: Verification) -> None:
+    """Draws over the box where V falls and where not, the band, and what speaks against it."""
     samples, function = found.samples, found.function
     x, y = samples.axes
     V = samples.as_grid(function(samples.x))
     V_dot = samples.as_grid(function.derivative(samples.x, samples.m))
-    state = np.where(V_dot > -MIN_DECREASE / unit_length, 3, 0)
+    state = np.where(V_dot > -MIN_DECREASE / field.cloud.unit_length, 3, 0)
     if found.band is not None:
         state[(state == 0) & (found.band.c_out >= V)] = 1
         state[found.band.c_in >= V] = 2
     colors = ListedColormap([OUTSIDE, FALLS, TUBE, RISES])
+    axes.pcolormesh(x, y, state, cmap=colors, vmin=0, vmax=3)
     levels = np.geomspace(max(V.max() / 1e3, 0.1), V.max(), MAP_LEVELS)
-    return [
-        axes.pcolormesh(x, y, state, cmap=colors, vmin=0, vmax=3),
-        axes.contour(x, y, V, levels, colors=LEVELS, linewidths=0.5),
-    ]
-
-
-def plot_tube(
-    axes: Axes, field: Field, found: Verification, center: FloatArray, half: float
-) -> Sequence[Artist]:
-    """Draws a window: the sign of V_dot, K = {V <= c_in} with the sets around it, and m."""
-    x, y, points = _grid(center, half, ZOOM_PIXELS)
-    m = field(points)
-    function: LyapunovFunction = found.function
-    V = function(points).reshape(len(y), len(x))
-    rises = (function.derivative(points, m) >= 0).reshape(V.shape)
-    artists: list[Artist] = [
-        axes.pcolormesh(x, y, rises, cmap=ListedColormap([FALLS, RISES]), vmin=0, vmax=1)
-    ]
-    levels = np.geomspace(0.01, max(V.max(), 0.02), MAP_LEVELS)
-    artists.append(axes.contour(x, y, V, levels, colors=LEVELS, linewidths=0.6))
-    if found.band is not None:
-        c_in = found.band.c_in
-        artists.append(axes.contourf(x, y, V, [-1, c_in], colors=[TUBE], alpha=0.35))
-        artists.append(axes.contour(x, y, V, [c_in], colors=[TUBE], linewidths=1.6))
-    _, _, coarse = _grid(center, half, ZOOM_ARROWS)
-    arrows = field(coarse)
-    artists.append(
-        axes.quiver(*coarse.T, *arrows.T, color="#4d5b66", width=0.003, scale=ZOOM_ARROWS)
-    )
-    return artists
-
-
-def plot_violations(axes: Axes, violations: Sequence[Violation]) -> Sequence[Artist]:
-    """Marks the places that speak against path following, those that count in red."""
-    artists: list[Artist] = []
-    for violation in violations:
+    axes.contour(x, y, V, levels, colors=LEVELS, linewidths=0.5)
+    plotting.plot_waypoints(axes, field.cloud.points)
+    for violation in found.violations:
         color = plotting.RED if violation.counts else plotting.GREY
         marker = {"zero": "X", "slow": "v"}.get(violation.kind, "o")
-        artists += axes.plot(
-            *violation.point, marker, color=color, markersize=7, markeredgecolor="white"
-        )
-    return artists
+        (mark,) = axes.plot(*violation.point, marker, color=color)
+        mark.set(markersize=7, markeredgecolor="white")
 
 
-def plot_profile(axes: Axes, found: Verification) -> Sequence[Artist]:
-    """Draws the outward normal speed of m on the level sets of V: largest and median."""
-    samples, function = found.samples, found.function
-    V, gradient = function(samples.x), function.gradient(samples.x)
-    outward = component_along(gradient, samples.m)
-    edges = np.geomspace(PROFILE_FLOOR, V.max(), PROFILE_BINS + 1)
-    number = np.digitize(V, edges) - 1
-    rows = [
-        (
-            np.sqrt(edges[k] * edges[k + 1]),
-            outward[number == k].max(),
-            np.median(outward[number == k]),
-        )
-        for k in range(PROFILE_BINS)
-        if (number == k).any()
-    ]
-    level, largest, median = np.array(rows).T
-    artists: list[Artist] = []
+def _draw_tube(axes: Axes, field: GuidingField, found: Verification) -> None:
+    """Draws the worst place of the tube: the sign of V_dot, {V <= c_in}, level sets, and m."""
+    counting = [violation.point for violation in found.violations if violation.counts]
+    if found.band is None or found.margins is None:
+        center = counting[0] if counting else field.cloud.points[0]
+        half = ZOOM_UNITS * field.cloud.unit_length
+    else:
+        center = counting[0] if counting else found.margins.weakest[0]
+        half = ZOOM_WIDTHS * found.band.tube.half_width
+    x, y, points = _window(center, half, ZOOM_PIXELS)
+    V = found.function(points).reshape(len(y), len(x))
+    rises = (found.function.along(field, points) >= 0).reshape(V.shape)
+    axes.pcolormesh(x, y, rises, cmap=ListedColormap([FALLS, RISES]), vmin=0, vmax=1)
+    levels = np.geomspace(0.01, max(V.max(), 0.02), MAP_LEVELS)
+    axes.contour(x, y, V, levels, colors=LEVELS, linewidths=0.6)
     if found.band is not None:
-        band = found.band
-        artists.append(
-            axes.axvspan(band.c_in, band.c_out, color=FALLS, label="band on which V falls")
-        )
-    artists += axes.plot(level, median, color=plotting.BLUE, label="median")
-    artists += axes.plot(level, largest, color=plotting.RED, label="largest")
-    if found.margins is not None:
-        margins = found.margins
-        artists += axes.plot(
-            margins.levels, -margins.e_star, "k.", markersize=4, label="$-e^*$ of a level set"
-        )
-    axes.axhline(0, color="black", linewidth=0.8)
-    axes.set(
-        xscale="log", xlabel="level of V", ylabel="outward normal speed of m on the level set"
-    )
-    axes.set_title("flow through the level sets")
-    axes.grid(alpha=0.3)
-    axes.legend(loc="best")
-    return artists
+        axes.contourf(x, y, V, [-1, found.band.c_in], colors=[TUBE], alpha=0.35)
+        axes.contour(x, y, V, [found.band.c_in], colors=[TUBE], linewidths=1.6)
+    _, _, coarse = _window(center, half, ZOOM_ARROWS)
+    arrows = field(coarse)
+    axes.quiver(*coarse.T, *arrows.T, color="#4d5b66", width=0.003, scale=ZOOM_ARROWS)
+    plotting.plot_waypoints(axes, field.cloud.points)
+    axes.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
 
 
-def _grid(
+def _window(
     center: FloatArray, half: float, count: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Returns the axes of a square window, and its points (count^2, 2), y by y."""
@@ -197,14 +127,47 @@ def _grid(
     return x, y, np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
 
 
-def _window(field: GuidingField, found: Verification) -> tuple[FloatArray, float]:
-    """Returns the middle and half the side of the window: the worst place of the tube."""
-    counting = [violation for violation in found.violations if violation.counts]
-    if found.band is None or found.margins is None:
-        place = counting[0].point if counting else field.cloud.points[0]
-        return place, ZOOM_UNITS * field.cloud.unit_length
-    place = counting[0].point if counting else found.margins.weakest[0]
-    return place, ZOOM_WIDTHS * found.band.tube.half_width
+def _draw_profile(axes: Axes, found: Verification) -> None:
+    """Draws the outward normal speed of m on the level sets of V: largest and median."""
+    V, gradient = found.function.value_and_gradient(found.samples.x)
+    outward = component_along(gradient, found.samples.m)
+    edges = np.geomspace(PROFILE_FLOOR, V.max(), PROFILE_BINS + 1)
+    number = np.digitize(V, edges) - 1
+    bins = np.intersect1d(number, np.arange(PROFILE_BINS))
+    level = np.sqrt(edges[bins] * edges[bins + 1])
+    if found.band is not None:
+        band = (found.band.c_in, found.band.c_out)
+        axes.axvspan(*band, color=FALLS, label="band on which V falls")
+    median, largest = np.array(
+        [(np.median(outward[number == k]), outward[number == k].max()) for k in bins]
+    ).T
+    axes.plot(level, median, color=plotting.BLUE, label="median")
+    axes.plot(level, largest, color=plotting.RED, label="largest")
+    if found.margins is not None:
+        levels, e_star = found.margins.levels, found.margins.e_star
+        axes.plot(levels, -e_star, "k.", markersize=4, label="$-e^*$ of a level set")
+    axes.axhline(0, color="black", linewidth=0.8)
+    axes.set(
+        xscale="log",
+        xlabel="level of V",
+        ylabel="outward normal speed of m on the level set",
+        title="flow through the level sets",
+    )
+    axes.grid(alpha=0.3)
+    axes.legend(loc="best")
+
+
+def _draw_bounds(axes: Axes, found: Verification) -> None:
+    """Draws where the printed bound fails, and where the one with the true gradient is missed.
+
+    The bound with the squashed score always holds.
+    """
+    paper, _, gradient = found.bounds
+    state = found.samples.as_grid(~paper.holds + 2 * (gradient.excess > BOUND_NEARLY))
+    colors = ListedColormap(list(BOUNDS.values()))
+    axes.pcolormesh(*found.samples.axes, state, cmap=colors, vmin=0, vmax=3)
+    handles = [Patch(color=color, label=label) for label, color in BOUNDS.items()]
+    axes.legend(handles=handles, **BELOW)
 
 
 def _handles(found: Verification) -> list[Artist]:
@@ -228,3 +191,86 @@ def _handles(found: Verification) -> list[Artist]:
         if any(violation.counts is counts for violation in found.violations):
             handles.append(Line2D([], [], color=color, marker="X", linestyle="", label=label))
     return handles
+
+
+def theorem_figure(
+    decrease: DecreaseCheck, level_sets: LevelSetCheck, modes: ModeCheck
+) -> Figure:
+    """Returns one panel for each part of Theorem 1.
+
+    They show V along x_dot = m, with the band through which it should fall; V along
+    x_dot = v alone, with the levels that it should keep; and |m| on the modes.
+    """
+    figure, axes = plotting.new_figure(1, 3, 15, 4.8)
+    _draw_falling(axes[0], decrease)
+    _draw_level_sets(axes[1], level_sets)
+    _draw_modes(axes[2], modes)
+    for panel in axes:
+        panel.grid(alpha=0.3)
+    return figure
+
+
+def _draw_falling(axes: Axes, check: DecreaseCheck) -> None:
+    run, (c_in, c_out) = check.run, check.band
+    entered = np.isfinite(check.entry_times)
+    label = f"band, {c_in:.3g} to {c_out:.3g}"
+    axes.axhspan(c_in, c_out, color=plotting.ORANGE, alpha=0.2, label=label)
+    for chosen, color, label in (
+        (entered, plotting.BLUE, "agent"),
+        (~entered, plotting.RED, "did not get below it"),
+    ):
+        agents = np.flatnonzero(chosen)
+        if len(agents) > MAX_LINES:
+            agents = agents[np.linspace(0, len(agents) - 1, MAX_LINES).astype(int)]
+        lines = axes.plot(run.times, run.V[:, agents], color=color, linewidth=0.6, alpha=0.5)
+        for line in lines[:1]:
+            line.set_label(label)
+    if run.exit is not None:
+        (marker,) = axes.plot(run.exit.time, run.exit.V, "X", color=plotting.RED, clip_on=False)
+        marker.set(markersize=9, label="left it, which ends the run")
+    end = run.times[-1]
+    if entered.all():
+        end = min(end, SHOWN_ENTRIES * max(check.entry_times.max(), run.times[1]))
+    axes.set(
+        xlabel="time at unit speed",
+        ylabel="V",
+        yscale="log",
+        xlim=(0, end),
+        ylim=(SHOWN_BELOW * c_in, 2 * c_out),
+        title=f"(i) along m: {entered.sum()} of {len(entered)} fall through the band",
+    )
+    axes.legend(loc="upper right")
+
+
+def _draw_level_sets(axes: Axes, check: LevelSetCheck) -> None:
+    drifts = check.drift.max(axis=1) / check.levels
+    for number, (level, run) in enumerate(zip(check.levels, check.runs, strict=True)):
+        color, drift = LEVEL_COLORS[number % len(LEVEL_COLORS)], drifts[number]
+        axes.axhline(level, color=color, linestyle="--", linewidth=1.2)
+        axes.plot(run.times, run.V, color=color, linewidth=0.6, alpha=0.6)
+        text = f"{drift:.0%}" if drift < 10 else f"{drift:.0f}-fold"
+        axes.annotate(text, (1.01, level), xycoords=("axes fraction", "data"), color=color)
+    axes.set(
+        xlabel="time",
+        ylabel="V",
+        yscale="log",
+        xlim=(0, check.runs[0].times[-1]),
+        title="(ii) along v alone: levels to keep, and largest drift",
+    )
+
+
+def _draw_modes(axes: Axes, check: ModeCheck) -> None:
+    order = np.argsort(check.speeds)
+    share = 100 * (np.arange(len(order)) + 0.5) / len(order)
+    speeds, at = check.speeds[order], np.flatnonzero(order == check.V.argmin())[:1]
+    axes.axhline(1.0, color=plotting.GREY, linestyle="--", label="unit length")
+    axes.plot(share, speeds, ".", color=plotting.BLUE, label="mode")
+    (star,) = axes.plot(share[at], speeds[at], "*", color=plotting.RED, label="global mode")
+    star.set(markersize=12)
+    axes.set(
+        xlabel="share of the modes [%]",
+        ylabel="|m|",
+        ylim=(0, 1.1 * max(1.0, check.speeds.max())),
+        title=f"(iii) speed on the {len(order)} modes",
+    )
+    axes.legend(loc="lower right")

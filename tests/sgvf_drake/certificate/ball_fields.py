@@ -11,7 +11,7 @@ import numpy as np
 
 from sgvf_drake.fields import GaussianMixture
 
-from .balls import FUNCTIONS, composed, mixture_at, sigmoid
+from .balls import FUNCTIONS, composed, mixture_at, rectified, sigmoid
 
 
 def matrix(array):
@@ -79,8 +79,23 @@ def tanh_with_slope(u):
     return value, 1 - value**2
 
 
-WITH_SLOPE = {"SiLU": silu_with_slope, "Tanh": tanh_with_slope}
-"""In forms that are narrower over wide balls than the arithmetic of power series."""
+def rectified_with_slope(name):
+    """ELU and ReLU at a point; either slope serves where there is a kink."""
+
+    def function(u):
+        value = rectified(name)(u)
+        return value, arb(1) if u >= 0 else value + 1 if name == "ELU" else arb(0)
+
+    return function
+
+
+WITH_SLOPE = {
+    "SiLU": silu_with_slope,
+    "Tanh": tanh_with_slope,
+    "ELU": rectified_with_slope("ELU"),
+    "ReLU": rectified_with_slope("ReLU"),
+}
+"""Of the first two in forms that are narrower over wide balls than power series are."""
 
 
 @dataclass(frozen=True)

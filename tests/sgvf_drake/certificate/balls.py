@@ -6,7 +6,6 @@ A float64 becomes the ball of itself, and every result holds the true value.
 from flint import arb, arb_series, ctx
 import numpy as np
 
-from sgvf_drake.fields import GaussianMixture
 from sgvf_drake.fields.composition import (
     DIRECTION_SOFTENING,
     PROJECTION_POWER,
@@ -102,23 +101,6 @@ def dot(a, b):
     return sum((x * y for x, y in zip(a, b, strict=True)), arb(0))
 
 
-def network_at(network, z):
-    """The outputs of a network at a point, a list of balls."""
-    hidden = z
-    if network.features is not None:
-        rows = zip(network.features.frequencies, network.features.phases, strict=True)
-        angles = [dot(vector(row), hidden) + float(phase) for row, phase in rows]
-        hidden = [angle.sin() for angle in angles] + [angle.cos() for angle in angles]
-    name = network.activation.name
-    activation = FUNCTIONS[name] if name in FUNCTIONS else rectified(name)
-    last = len(network.weights) - 1
-    for layer, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
-        hidden = [dot(vector(w), hidden) + float(b) for w, b in zip(weight, bias, strict=True)]
-        if layer < last:
-            hidden = [activation(unit) for unit in hidden]
-    return hidden
-
-
 def mixture_at(mixture, z):
     """-log sum_i exp(-|z - x_i|^2 / 2 sigma^2), and its gradient."""
     variance = arb(mixture.sigma) ** 2
@@ -127,17 +109,6 @@ def mixture_at(mixture, z):
     total = sum(weights, arb(0))
     means = [dot(weights, [y[k] for y in offsets]) / total for k in range(len(z))]
     return -total.log(), [mean / variance for mean in means]
-
-
-def field_at(field, z):
-    """m of a guiding field at a point in normalised units."""
-    N = network_at(field.tangent_network, z)
-    if isinstance(field.score_model, GaussianMixture):
-        S = [-entry for entry in mixture_at(field.score_model, z)[1]]
-    else:
-        outputs = network_at(field.score_model.network, [*z, arb(1)])
-        S = [output / arb(field.score_model.scale) for output in outputs]
-    return composed(field.composition, S, N)
 
 
 def composed(composition, S, N):
@@ -177,3 +148,17 @@ def model_at(model, row, column, d):
     value = arb(float(model.value[row, column]))
     polynomial = value + J[0] * x + J[1] * y + q[0] * x * x + q[1] * x * y + q[2] * y * y
     return polynomial, arb(float(model.remainder[row, column]))
+
+
+def point_of(boxes, d):
+    """The point of the first square at a step d from its centre, as balls."""
+    return [arb(float(c)) + arb(float(x)) for c, x in zip(boxes.centers[0], d, strict=True)]
+
+
+def assert_inside(model, d, values):
+    """Asserts that the models of the first square hold values at a step d."""
+    for column, value in enumerate(values):
+        polynomial, remainder = model_at(model, 0, column, d)
+        assert abs(value - polynomial) <= remainder
+        assert arb(float(model.lower[0, column])) <= value
+        assert value <= arb(float(model.upper[0, column]))

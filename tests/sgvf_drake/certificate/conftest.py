@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sgvf_drake.certificate import certify
+from sgvf_drake import load_field
+from sgvf_drake.certificate import Certificate
 from sgvf_drake.fields import GaussianMixture, Perceptron
 from sgvf_drake.paths import Piece, PointCloud, ReferencePath
+from tests.data.make import FOLDER, field_file
 
 TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
 SIGMA = 0.4
@@ -38,7 +40,15 @@ def make_ring(make_field):
 
 
 @pytest.fixture(scope="session")
-def ring(make_ring):
-    """A ring, its path and its certificate."""
-    field, path = make_ring(4.0)
-    return field, path, certify(field, path)
+def ring_file():
+    """The stored certificate of `ring`: what `certify(*make_ring(4.0))` wrote in November 2026.
+
+    It has to stay readable, and what it claims has to stay provable.
+    """
+    return FOLDER.parent / "certificates" / "ring.json"
+
+
+@pytest.fixture(scope="session")
+def ring(make_ring, ring_file):
+    """The ring of radius 4 of `make_ring`, its path and its certificate, all from files."""
+    return load_field(field_file("ring")), make_ring(4.0)[1], Certificate.load(ring_file)

@@ -2,28 +2,27 @@
 
 from dataclasses import replace
 
+from flint import arb
 import numpy as np
 import pytest
 
-from sgvf_drake.certificate import decrease, speed
-from sgvf_drake.certificate.boxes import Boxes
-from sgvf_drake.certificate.decrease import Decrease
-from sgvf_drake.certificate.division import Answer, divide
+from sgvf_drake.certificate.boxes import Answer, Boxes, divide
+from sgvf_drake.certificate.conditions import HIGH, LOW, MARGIN, RATE, SPEED, Decrease, Speed
 from sgvf_drake.certificate.mixture_model import MixtureModel
-from sgvf_drake.certificate.speed import Speed
-from sgvf_drake.fields import GaussianMixture, Perceptron
+from sgvf_drake.fields import GaussianMixture, PaperComposition, Perceptron
 from sgvf_drake.lyapunov import LyapunovFunction
 
-from .balls import divided
+from .ball_fields import BallField
+from .balls import divided, dot, mixture_at
 
 START = divided(Boxes.square(8.0), 2.0**-4)
 SMALLEST = 2.0**-12
 
 
 @pytest.fixture(scope="module")
-def trained(robust_result):
+def trained(robust_field):
     """A field, V with levels from zero on, and V again as the sampled checks have it."""
-    field = robust_result.field
+    field = robust_field
     mixture = GaussianMixture(field.cloud.normalize(field.mixture.points), field.sigma)
     at = Boxes(mixture.points[:1], np.zeros(1))
     function = LyapunovFunction(mixture)
@@ -47,19 +46,19 @@ def test_what_is_proved_of_a_band_is_so(trained):
     band = (1.0, 6.0)
     found = Decrease(field, levels, *band, alpha=0.05, share=0.5).prove(START, SMALLEST)
     assert found.proved
-    known = ~np.isnan(found.facts[:, decrease.RATE])
+    known = ~np.isnan(found.facts[:, RATE])
     assert found.evaluated >= known.sum() > 1_000
     z, chosen = inside_of(found.boxes[known], np.random.default_rng(0), 40_000)
     facts = found.facts[known][chosen]
     V, gradient = function.value_and_gradient(z)
     V_dot = (gradient * normalised(field, z)).sum(axis=1)
     rounding = 1e-9
-    assert (facts[:, decrease.LOW] <= V + rounding).all()
-    assert (facts[:, decrease.HIGH] >= V - rounding).all()
+    assert (facts[:, LOW] <= V + rounding).all()
+    assert (facts[:, HIGH] >= V - rounding).all()
     in_band = (band[0] <= V) & (band[1] >= V)
-    assert (V_dot <= facts[:, decrease.RATE] + rounding)[in_band].all()
+    assert (V_dot <= facts[:, RATE] + rounding)[in_band].all()
     speed_inward = -V_dot / np.linalg.norm(gradient, axis=1)
-    assert (speed_inward >= facts[:, decrease.MARGIN] - rounding)[in_band].all()
+    assert (speed_inward >= facts[:, MARGIN] - rounding)[in_band].all()
     # Every point of the band is in a square.
     x = np.random.default_rng(1).uniform(-5, 5, (20_000, 2))
     x = x[(function(x) >= band[0]) & (function(x) <= band[1])][:500]
@@ -68,37 +67,60 @@ def test_what_is_proved_of_a_band_is_so(trained):
     assert (away <= boxes.half).any(axis=1).all()
 
 
-def test_a_rate_that_is_not_there_is_refuted_by_a_point(trained):
+def in_balls(field, levels, z):
+    """V and V_dot at a point, and |m|^2, in ball arithmetic."""
+    z = [arb(float(value)) for value in z]
+    V, gradient = mixture_at(levels.mixture, z)
+    m = BallField(field)(z).m
+    return V - arb(levels.lowest), dot(gradient, m), dot(m, m)
+
+
+@pytest.mark.parametrize(
+    ("drift", "band"), [(0.0, (0.001, 3.0)), (0.9, (1.0, 6.0))], ids=["too low", "a drift"]
+)
+def test_a_rate_that_is_not_there_is_refuted_by_a_point(trained, drift, band):
+    """On the path V goes on; and a bias of the tangent network carries robots up."""
     field, levels, function = trained
-    found = Decrease(field, levels, 0.001, 3.0, alpha=0.05, share=0.0).prove(START, SMALLEST)
+    network = field.tangent_network
+    *others, last = network.biases
+    biased = replace(network, biases=(*others, np.add(last, [drift, 0.0])))
+    planted = replace(field, tangent_network=biased)
+    if drift:
+        # Without the robust composition, in which a tangent that points outward is taken out.
+        planted = replace(planted, composition=PaperComposition(0.02))
+    found = Decrease(planted, levels, *band, alpha=0.05, share=0.0).prove(START, SMALLEST)
     assert not found.proved
+    V, V_dot, _ = in_balls(planted, levels, found.counterexample)
+    assert arb(band[0]) <= V <= arb(band[1])
+    assert V_dot > -arb(0.05)
     z = found.counterexample[None]
-    assert 0.001 <= function(z)[0] <= 3.0
-    assert function.derivative(z, normalised(field, z))[0] > -0.05
+    expected = function.derivative(z, normalised(planted, z))[0]
+    assert float(V_dot) == pytest.approx(expected, rel=1e-6)
 
 
+@pytest.mark.full
 def test_the_tube_is_left_behind_nowhere(trained):
     field, levels, function = trained
     found = Speed(field, levels, 0.1, delta=0.9, share=0.5).prove(START, SMALLEST)
     assert found.proved
-    known = ~np.isnan(found.facts[:, speed.SPEED])
+    known = ~np.isnan(found.facts[:, SPEED])
     z, chosen = inside_of(found.boxes[known], np.random.default_rng(2), 40_000)
     m = np.linalg.norm(normalised(field, z), axis=1)
-    assert (m >= found.facts[known][chosen][:, speed.SPEED] - 1e-9).all()
+    assert (m >= found.facts[known][chosen][:, SPEED] - 1e-9).all()
     x = np.random.default_rng(3).uniform(-5, 5, (200_000, 2))
     assert np.linalg.norm(normalised(field, x[function(x) <= 0.1]), axis=1).min() >= 0.9
 
 
 def test_a_planted_stop_on_the_path_is_found(trained):
     """A tangent (z_0, 0), which turns around on the line z_0 = 0, across the path."""
-    field, levels, function = trained
+    field, levels, _ = trained
     network = Perceptron((np.array([[1.0, 0.0], [0.0, 0.0]]),), (np.zeros(2),))
     planted = replace(field, tangent_network=network)
     found = Speed(planted, levels, 0.5, delta=0.5, share=0.5).prove(START, SMALLEST)
     assert not found.proved
-    z = found.counterexample[None]
-    assert function(z)[0] <= 0.5
-    assert np.linalg.norm(normalised(planted, z)) < 0.5
+    V, _, square = in_balls(planted, levels, found.counterexample)
+    assert arb(0.5) >= V
+    assert square < arb(0.5) ** 2
 
 
 def test_what_cannot_be_decided_is_kept():

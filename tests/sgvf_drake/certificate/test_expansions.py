@@ -58,7 +58,7 @@ def interval(u, reach, below, above, least=-np.inf):
 
 
 @pytest.mark.parametrize("name", [*SMOOTH, *KINKED])
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=150, deadline=None)
 @given(u=anywhere, reach=reaches, below=shares, above=shares, share=shares)
 def test_a_function_is_inside_of_its_expansion(name, u, reach, below, above, share):
     low, high = interval(u, reach, below, above)
@@ -71,7 +71,7 @@ def test_a_function_is_inside_of_its_expansion(name, u, reach, below, above, sha
 
 
 @pytest.mark.parametrize("name", CONVEX)
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=150, deadline=None)
 @given(
     exponent=st.floats(-12, 7),
     reach=st.floats(-14, 3).map(lambda e: 10.0**e),
@@ -127,13 +127,9 @@ def test_the_constants_bound_the_derivatives(name):
     function, expansion = FUNCTIONS[name], SMOOTH[name]
     assert is_between(function, 2, expansion.least, expansion.most)
     assert is_between(function, 3, -expansion.third, expansion.third)
-
-
-@pytest.mark.parametrize("name", ["SiLU", "Tanh", "Sigmoid", "Softplus", "GELU", "fall"])
-def test_the_constants_are_not_far_above(name):
-    function, expansion = FUNCTIONS[name], SMOOTH[name]
-    third = expansion.third
-    assert not is_between(function, 3, -0.9 * third, 0.9 * third, narrowest=1e-3)
+    # They are not far above.
+    third = 0.9 * expansion.third
+    assert not is_between(function, 3, -third, third, narrowest=1e-3)
     assert not is_between(function, 2, expansion.least, 0.99 * expansion.most, narrowest=1e-3)
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sgvf_drake.certificate.boxes import Boxes
-from sgvf_drake.certificate.extension import extend
 from sgvf_drake.certificate.mixture_model import MixtureModel, mixture_of
+from sgvf_drake.certificate.sublevel_sets import extend
 
 
 def level_at(levels, z):

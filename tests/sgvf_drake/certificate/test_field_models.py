@@ -10,13 +10,14 @@ import pytest
 
 from sgvf_drake.certificate.boxes import Boxes
 from sgvf_drake.certificate.field_model import model_field
-from sgvf_drake.certificate.mixture_model import MixtureModel
+from sgvf_drake.certificate.mixture_model import MixtureModel, dual_mixture
 from sgvf_drake.certificate.network_model import model_network
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import GaussianMixture, NormalisedComposition
 from sgvf_drake.fields.activation import ACTIVATIONS, find_activation
 
-from .balls import field_at, mixture_at, model_at, network_at
+from .ball_fields import BallField, BallNetwork
+from .balls import assert_inside, dot, mixture_at, point_of, vector
 
 seeds = st.integers(0, 2**32 - 1)
 halves = st.integers(-20, 1).map(lambda exponent: 2.0**exponent)
@@ -25,18 +26,6 @@ CORNERS = np.array([[-1.0, -1.0], [1.0, 1.0], [1.0, -1.0], [0.0, 1.0], [0.0, 0.0
 
 def steps(rng, half, count=3):
     return half * np.concatenate([CORNERS, rng.uniform(-1, 1, (count, 2))])
-
-
-def at(boxes, d):
-    return [arb(float(c)) + arb(float(x)) for c, x in zip(boxes.centers[0], d, strict=True)]
-
-
-def assert_inside(model, d, values):
-    for column, value in enumerate(values):
-        polynomial, remainder = model_at(model, 0, column, d)
-        assert abs(value - polynomial) <= remainder
-        assert arb(float(model.lower[0, column])) <= value
-        assert value <= arb(float(model.upper[0, column]))
 
 
 def one_box(rng, half, spread=4.0):
@@ -58,7 +47,7 @@ def test_a_network_is_inside_of_its_model(make_perceptron, activation, seed, hal
     boxes = one_box(rng, half)
     model = model_network(network, boxes)
     for d in steps(rng, half):
-        assert_inside(model, d, network_at(network, at(boxes, d)))
+        assert_inside(model, d, [row[0] for row in BallNetwork(network)(point_of(boxes, d))])
 
 
 @settings(max_examples=60, deadline=None)
@@ -73,13 +62,72 @@ def test_a_mixture_is_inside_of_its_models(seed, half, sigma):
         gradient = model.gradient(boxes)
         level = model.level(boxes, gradient)
     for d in steps(rng, half):
-        value, slope = mixture_at(model.mixture, at(boxes, d))
+        value, slope = mixture_at(model.mixture, point_of(boxes, d))
         assert arb(float(low[0])) <= value
         assert value <= arb(float(high[0]))
         # On squares that are too large to say anything, the models say so.
         if np.isfinite(gradient.remainder).all():
             assert_inside(gradient, d, slope)
             assert_inside(level, d, [value])
+
+
+def slopes_at(mixture, z):
+    """dS_m / dz_k of a mixture as balls, by k and m."""
+    variance = arb(mixture.sigma) ** 2
+    offsets = [[a - b for a, b in zip(vector(x), z, strict=True)] for x in mixture.points]
+    weights = [(-dot(y, y) / (2 * variance)).exp() for y in offsets]
+    total = sum(weights, arb(0))
+    means = [dot(weights, [y[k] for y in offsets]) / total for k in range(2)]
+
+    def covariance(k, m):
+        products = [(y[k] - means[k]) * (y[m] - means[m]) for y in offsets]
+        return dot(weights, products) / total
+
+    return [
+        [covariance(k, m) / variance**2 - (k == m) / variance for m in range(2)]
+        for k in range(2)
+    ]
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    half=st.integers(-45, 0).map(lambda exponent: 2.0**exponent),
+    sigma=st.sampled_from([0.05, 0.3, 2.0]),
+)
+def test_derivatives_of_a_mixture_are_inside_of_their_models(seed, half, sigma):
+    rng = np.random.default_rng(seed)
+    mixture = GaussianMixture(
+        rng.uniform(-3, 3, (int(rng.choice([1, 2, 2, 3, 5, 8])), 2)), sigma
+    )
+    center = rng.uniform(-4, 4, 2)
+    if len(mixture.points) == 2:
+        # About as far from one as from the other, where weights change most and are off most.
+        first, last = mixture.points
+        apart = last - first
+        center = (first + last) / 2 + rng.uniform(-9, 9) * apart[::-1] * [-1, 1]
+        center += rng.uniform(-3, 3) * sigma**2 * apart / (apart**2).sum()
+    boxes = Boxes(center[None], np.array([half]))
+    with np.errstate(over="ignore", invalid="ignore"):
+        models = dual_mixture(mixture, boxes)
+    corners = [[-1.0, -1.0], [1.0, 1.0], [1.0, -1.0], [0.0, 0.0]]
+    for d in half * np.concatenate([corners, rng.uniform(-1, 1, (3, 2))]):
+        slopes = slopes_at(mixture, point_of(boxes, d))
+        for k, model in enumerate(models.slopes):
+            # On squares that are too large to say anything, the models say so.
+            if np.isfinite(model.remainder).all():
+                assert_inside(model, d, slopes[k])
+
+
+def test_what_is_left_falls_with_the_cube_of_the_square():
+    rng = np.random.default_rng(1)
+    mixture = GaussianMixture(rng.uniform(-3, 3, (40, 2)), 0.3)
+    centers = rng.uniform(-3, 3, (50, 2))
+    remainders = [
+        np.median([slope.remainder for slope in dual_mixture(mixture, boxes).slopes])
+        for boxes in (Boxes(centers, np.full(50, 2.0**-exponent)) for exponent in (10, 11))
+    ]
+    assert remainders[0] / remainders[1] == pytest.approx(8, rel=0.1)
 
 
 @pytest.mark.parametrize("recipe", ["robust", "exact", "paper"])
@@ -97,17 +145,7 @@ def test_a_field_is_inside_of_its_model(make_field, recipe, seed, exponent, norm
     # On squares that are too large to say anything, the model says so.
     assume(np.isfinite(model.remainder).all())
     for d in steps(rng, half, count=1):
-        assert_inside(model, d, field_at(field, at(boxes, d)))
-
-
-def test_the_balls_compute_the_same_field_as_the_library(make_field):
-    rng = np.random.default_rng(0)
-    for recipe in ("robust", "exact", "paper"):
-        field = make_field(recipe)
-        z = rng.uniform(-4, 4, 2)
-        x = z * field.cloud.unit_length + field.cloud.center
-        found = [float(value) for value in field_at(field, [arb(float(v)) for v in z])]
-        np.testing.assert_allclose(found, field(x), rtol=1e-9, atol=1e-12)
+        assert_inside(model, d, BallField(field)(point_of(boxes, d)).m)
 
 
 def test_bounds_become_tight_as_squares_become_small(make_field):

@@ -9,13 +9,11 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from sgvf_drake.certificate.boxes import Boxes
-from sgvf_drake.certificate.field_model import dual_field, has_dual
+from sgvf_drake.certificate.field_model import dual_field
 from sgvf_drake.certificate.mixture_model import MixtureModel
 from sgvf_drake.certificate.orbit_search import propose_annuli
 from sgvf_drake.certificate.orbits import Contraction, Turning
-from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import GaussianMixture
-from sgvf_drake.fields.activation import find_activation
 
 from .conftest import circle
 
@@ -28,7 +26,7 @@ def normalised(field, z):
 
 
 @pytest.mark.parametrize("recipe", ["robust", "paper", "exact"])
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(seed=seeds, exponent=st.integers(-16, -5))
 def test_derivatives_are_inside_of_their_models(make_field, recipe, seed, exponent):
     """Held against the analytic Jacobian, which is right to rounding."""
@@ -47,35 +45,10 @@ def test_derivatives_are_inside_of_their_models(make_field, recipe, seed, expone
             assert (values <= model.upper + rounding).all()
 
 
-def test_derivatives_become_tight_as_squares_become_small(make_field):
-    field = make_field("robust")
-    centers = np.random.default_rng(1).uniform(-4, 4, (50, 2))
-    J = normalised(field, centers)[1]
-    exact = np.trace(J, 0, 1, 2)
-    off = []
-    for half in (2.0**-9, 2.0**-12):
-        divergence = dual_field(field, Boxes(centers, np.full(50, half))).divergence
-        off.append(np.median(divergence.upper[:, 0] - exact))
-    assert off[1] < off[0] / 4
-
-
-def test_what_has_no_derivative_is_told(make_field):
-    robust, ending = make_field("robust"), make_field("robust", ends=1)
-    kinked = replace(
-        robust,
-        tangent_network=replace(robust.tangent_network, activation=find_activation("ReLU")),
-    )
-    assert has_dual(robust)
-    for field in (ending, kinked):
-        assert not has_dual(field)
-        with pytest.raises(ConfigurationError, match="derivatives"):
-            dual_field(field, Boxes.square(0.5))
-
-
 @pytest.fixture(scope="module")
-def tube(robust_result):
+def tube(robust_field):
     """A trained field, V, a level whose tube has a ring about each piece, and its squares."""
-    field = robust_result.field
+    field = robust_field
     mixture = GaussianMixture(field.cloud.normalize(field.mixture.points), field.sigma)
     levels = MixtureModel(mixture)
     lowest = levels.level_range(Boxes(mixture.points, np.zeros(len(mixture.points))))[0].min()
@@ -94,6 +67,7 @@ def of_piece(boxes, radii):
     return boxes[(distance > radii[0]) & (distance < radii[1])]
 
 
+@pytest.mark.full
 def test_a_ring_of_a_trained_field_has_one_orbit_with_a_lap_in_the_bounds(tube, annulus):
     field, levels, c_in = tube
     squares = of_piece(levels.squares_below(c_in, Boxes.square(8.0), 2.0**-6), (1.0, 3.0))

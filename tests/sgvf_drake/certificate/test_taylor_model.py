@@ -12,7 +12,7 @@ import pytest
 
 from sgvf_drake.certificate.boxes import Boxes
 from sgvf_drake.certificate.expansions import FALL, INVERSE_ROOT, SECH_OF_ROOT, SINE, SQUASH
-from sgvf_drake.certificate.taylor_model import TaylorModel, concatenate
+from sgvf_drake.certificate.taylor_model import TaylorModel
 
 from .balls import FUNCTIONS, OF_A_SQUARE, divided, model_at
 
@@ -48,7 +48,7 @@ def stands_for(model, rng, d):
     return values
 
 
-def assert_inside(model, column, d, value):
+def assert_holds(model, column, d, value):
     polynomial, remainder = model_at(model, 0, column, d)
     assert abs(value - polynomial) <= remainder
     assert arb(float(model.lower[0, column])) <= value
@@ -56,7 +56,7 @@ def assert_inside(model, column, d, value):
     assert abs(value) <= arb(float(model.magnitude[0, column]))
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(seed=seeds, first=scales, second=scales, half=scales)
 def test_sums_and_products(seed, first, second, half):
     rng = np.random.default_rng(seed)
@@ -71,10 +71,10 @@ def test_sums_and_products(seed, first, second, half):
         )
         for model, found in zip(results, values, strict=True):
             for column, value in enumerate(found):
-                assert_inside(model, column, d, value)
+                assert_holds(model, column, d, value)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(seed=seeds, scale=scales, half=scales)
 def test_functions_of_models(seed, scale, half):
     rng = np.random.default_rng(seed)
@@ -93,10 +93,10 @@ def test_functions_of_models(seed, scale, half):
         for name, model in results.items():
             if name in FUNCTIONS:
                 for column, value in enumerate(values):
-                    assert_inside(model, column, d, FUNCTIONS[name](value))
+                    assert_holds(model, column, d, FUNCTIONS[name](value))
             else:
                 shift = arb(0.25) if name == "inverse root" else arb(0)
-                assert_inside(model, 0, d, OF_A_SQUARE[name](size + shift))
+                assert_holds(model, 0, d, OF_A_SQUARE[name](size + shift))
 
 
 def test_what_is_known_of_the_argument_is_used_and_safe():
@@ -112,7 +112,7 @@ def test_what_is_known_of_the_argument_is_used_and_safe():
         for share in (-1, 0, 1):
             value = arb(-0.1) + arb(0.3) * d + arb(0.2) * share
             if value >= 0:
-                assert_inside(found, 0, [d, 0.0], OF_A_SQUARE["squash"](value))
+                assert_holds(found, 0, [d, 0.0], OF_A_SQUARE["squash"](value))
 
 
 def test_the_remainder_falls_with_the_third_power_of_the_half_side():
@@ -124,22 +124,10 @@ def test_the_remainder_falls_with_the_third_power_of_the_half_side():
     assert first / second == pytest.approx(8, rel=0.1)
 
 
-def test_functions_are_put_one_after_another():
-    rng = np.random.default_rng(4)
-    a, b = (random_model(rng, 1.0, 0.1, functions=count, boxes=3) for count in (2, 1))
-    both = concatenate([a, b])
-    for name in ("value", "jacobian", "quadratic", "remainder"):
-        found = getattr(both, name)
-        np.testing.assert_array_equal(found[..., :2], getattr(a, name))
-        np.testing.assert_array_equal(found[..., 2:], getattr(b, name))
-
-
 def test_quarters_cover_their_square_exactly():
     boxes = divided(Boxes.square(4.0), 0.125)
-    assert len(boxes) == 32**2
-    assert set(boxes.half) == {0.125}
     # In binary fractions all of this is exact.
     low = boxes.centers - boxes.half[:, None]
-    assert {tuple(corner) for corner in low.tolist()} == {
-        (x, y) for x in np.arange(-4, 4, 0.25) for y in np.arange(-4, 4, 0.25)
-    }
+    assert set(boxes.half) == {0.125}
+    grid = np.arange(-4, 4, 0.25)
+    assert sorted(map(tuple, low.tolist())) == [(x, y) for x in grid for y in grid]

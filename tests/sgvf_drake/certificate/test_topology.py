@@ -5,7 +5,7 @@ import pytest
 
 from sgvf_drake.certificate.boxes import Boxes
 from sgvf_drake.certificate.mixture_model import MixtureModel
-from sgvf_drake.certificate.topology import cover, shape_of_band
+from sgvf_drake.certificate.sublevel_sets import cover, shape_of_band
 from sgvf_drake.fields import GaussianMixture
 from sgvf_drake.lyapunov import LyapunovFunction
 

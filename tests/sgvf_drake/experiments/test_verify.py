@@ -9,24 +9,16 @@ import pytest
 
 from sgvf_drake.exceptions import OutputExistsError
 from sgvf_drake.experiments import run_verify
-from sgvf_drake.fields import Perceptron
-from sgvf_drake.paths import shape_path
+from sgvf_drake.fields import PaperComposition, Perceptron
+from sgvf_drake.lyapunov import verify
+from sgvf_drake.paths import Piece, ReferencePath
 
 KEYS = {
     *("holds", "reason", "method", "sigma", "c_in", "c_out", "alpha", "delta"),
     *("tube_half_width", "area_fraction", "decrease_fraction", "compact", "components"),
-    *(
-        "e_star_max",
-        "e_star_min",
-        "e_star",
-        "undecided",
-        "violations",
-        "assumptions",
-        "lemma",
-        "bounds",
-        "theorem",
-    ),
-    *("flight", "time_s", "unit_length", "reference", "recipe", "seed", "digest"),
+    *("e_star_max", "e_star_min", "e_star", "undecided", "violations", "assumptions", "lemma"),
+    *("bounds", "theorem", "flight", "time_s", "unit_length", "reference", "recipe", "seed"),
+    "digest",
 }
 
 
@@ -39,10 +31,20 @@ def names_in(folder):
 
 
 @pytest.fixture(scope="module")
-def flown(tmp_path_factory, flight_field):
-    """The folder of a verification with a flight, of two circles of 1 m and 2 m."""
+def circle(ring_field):
+    """A field around a circle of 1 m, and the circle."""
+    field = ring_field.rescaled(0.25)
+    angle = 2 * np.pi * np.arange(400) / 400
+    vertices = np.column_stack([np.cos(angle), np.sin(angle)])
+    return field, (ReferencePath((Piece(vertices, closed=True),)), "file")
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory, circle):
+    """The folder of a verification with a flight."""
+    field, path = circle
     out = tmp_path_factory.mktemp("verify") / "flown"
-    run_verify(flight_field, None, out, starts=36, speed=0.45)
+    run_verify(field, path, out, starts=36, speed=0.45)
     return out
 
 
@@ -55,19 +57,17 @@ def test_everything_is_there(flown):
         assert 0.01 < drawn.mean() < 0.95
 
 
-def test_the_rings_hold(flown):
+def test_the_ring_holds(flown):
     summary = summary_of(flown)
-    assert summary["holds"] is True
-    assert summary["method"] == "sampled"
-    assert sorted(part["pieces"] for part in summary["components"]) == [[0], [1]]
-    assert [part["holes"] for part in summary["components"]] == [1, 1]
+    assert (summary["holds"], summary["method"]) == (True, "sampled")
+    assert summary["components"] == [{"pieces": [0], "holes": 1}]
     assert summary["compact"] is True
     assert 0 < summary["c_in"] < summary["c_out"]
     assert summary["alpha"] > 0
     assert 0 < summary["e_star_min"] < summary["e_star_max"] < 1.01
     assert summary["undecided"] == 0
-    assert summary["delta"] > 0.98
-    assert 0 < summary["tube_half_width"] < 0.05
+    assert summary["delta"] > 0.95
+    assert 0 < summary["tube_half_width"] < 0.1
     levels = summary["e_star"]
     assert summary["e_star_max"] == max(levels["e_star"])
     assert len(levels["levels"]) == len(levels["e_star"]) == len(levels["weakest"])
@@ -83,7 +83,7 @@ def test_the_theorem_is_followed_in_drake(flown):
     assert decrease["exit"] is None
     assert decrease["V_dot_max"] < 0
     assert len(theorem["level_sets"]["levels"]) == 5
-    assert theorem["modes"]["speed_min"] > 0.98
+    assert theorem["modes"]["speed_min"] > 0.95
 
 
 def test_the_flight_is_within_what_its_own_field_tolerates(flown):
@@ -91,17 +91,18 @@ def test_the_flight_is_within_what_its_own_field_tolerates(flown):
     assert flight["covered"] is True
     assert flight["stayed"] is True
     assert 0 < flight["tracking_error_max_m_s"] < flight["tolerated_error_m_s"] < 0.45
-    assert [piece["piece"] for piece in flight["pieces"]] == [0, 1]
+    assert [piece["piece"] for piece in flight["pieces"]] == [0]
 
 
-def test_without_a_band_nobody_follows(tmp_path, flight_field):
-    eye = np.eye(2)
-    outward = replace(flight_field, tangent_network=Perceptron((eye,), (np.zeros(2),)))
+def test_without_a_band_nobody_follows(tmp_path, circle):
+    field, path = circle
     # Without the robust composition, in which a tangent that points outward is taken out.
-    from sgvf_drake.fields import PaperComposition
-
-    outward = replace(outward, composition=PaperComposition(0.2))
-    summary = run_verify(outward, None, tmp_path / "out", starts=16)
+    outward = replace(
+        field,
+        tangent_network=Perceptron((np.eye(2),), (np.zeros(2),)),
+        composition=PaperComposition(0.2),
+    )
+    summary = run_verify(outward, path, tmp_path / "out", starts=16)
     assert summary["holds"] is False
     assert summary["theorem"] is summary["flight"] is summary["c_in"] is None
     assert names_in(tmp_path / "out") == {"summary.json", "verify.png"}
@@ -110,25 +111,25 @@ def test_without_a_band_nobody_follows(tmp_path, flight_field):
     assert stored["assumptions"]["a3"]["remained_fraction"] is None
 
 
-def test_an_agent_that_leaves_ends_the_claim(tmp_path, monkeypatch, flight_field):
+def test_an_agent_that_leaves_ends_the_claim(tmp_path, monkeypatch, circle):
     """The samples are made to say that V falls on levels where it does not."""
-    from sgvf_drake.lyapunov import verification
+    field, path = circle
 
     def outward(self, x):
         return 1.0 * x
 
-    found = verification.verify(flight_field, shape_path("concentric-flight"), ratios=(1.0,))
+    found = verify(field, path[0], ratios=(1.0,))
     monkeypatch.setitem(run_verify.__globals__, "verify", lambda *_, **__: found)
-    monkeypatch.setattr(type(flight_field), "_value", outward)
-    summary = run_verify(flight_field, None, tmp_path / "out", starts=36)
+    monkeypatch.setattr(type(field), "_value", outward)
+    summary = run_verify(field, path, tmp_path / "out", starts=36)
     assert found.holds
     assert summary["holds"] is False
     assert "left the sublevel set" in summary["reason"]
     assert summary["assumptions"]["a3"]["remained_fraction"] < 1
 
 
-def test_results_are_not_replaced_unasked(flown, flight_field):
+def test_results_are_not_replaced_unasked(flown, circle):
     before = (flown / "summary.json").read_bytes()
     with pytest.raises(OutputExistsError, match=r"already holds summary\.json"):
-        run_verify(flight_field, None, flown)
+        run_verify(*circle, flown)
     assert (flown / "summary.json").read_bytes() == before

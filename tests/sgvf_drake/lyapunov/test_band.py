@@ -16,9 +16,7 @@ from sgvf_drake.lyapunov import (
     take_samples,
     to_level_set,
 )
-from sgvf_drake.lyapunov.band import LEVEL_MARGIN
-from sgvf_drake.lyapunov.critical import critical_levels
-from sgvf_drake.lyapunov.scan import MIN_DECREASE
+from sgvf_drake.lyapunov.band import LEVEL_MARGIN, MIN_DECREASE, critical_levels
 
 GAIN, SIGMA = 0.2, 0.1
 GRID = 121
@@ -70,15 +68,6 @@ def test_between_two_rings_it_ends_at_the_critical_level(ring_field):
     assert sorted(c.pieces for c in band.basin.components) == [(0,), (1,)]
 
 
-def test_it_scales_and_moves_with_the_waypoints(ring_field, found):
-    _, _, plain = found
-    moved = band_of(*ring_field(unit=1e3, center=(5e4, -2e4)))
-    assert moved.c_in == pytest.approx(plain.c_in, rel=1e-3)
-    assert moved.c_out == pytest.approx(plain.c_out, rel=1e-6)
-    assert 1e3 * moved.decrease == pytest.approx(plain.decrease, rel=1e-3)
-    assert moved.tube.half_width == pytest.approx(1e3 * plain.tube.half_width, rel=1e-2)
-
-
 def test_the_search_takes_the_thin_tube_among_large_bands(ring, found):
     field, path = ring
     samples = take_samples(field, grid_size=GRID)
@@ -88,11 +77,6 @@ def test_the_search_takes_the_thin_tube_among_large_bands(ring, found):
     largest = max(band.area for band in bands)
     large = [band for band in bands if band.area >= 0.95 * largest]
     assert chosen.tube.half_width == min(band.tube.half_width for band in large)
-
-
-def test_where_m_leads_away_there_is_no_band(ring_field, linear):
-    outward = ring_field(tangent=linear(np.eye(2)), composition="paper")
-    assert band_of(*outward) is None
 
 
 def test_a_tube_has_to_cross_the_saddles_between_waypoints(ring_field):
@@ -168,19 +152,19 @@ def test_margins_are_the_inward_speed(found):
     assert margins.e_star[3] <= margins.at(middle) <= margins.e_star[4]
 
 
-@pytest.mark.parametrize("level", [0.05, 1.0, 20.0])
-def test_level_sets_are_reached_all_around(ring, level):
+def test_level_sets_are_reached_all_around(ring):
     field, _ = ring
     function = LyapunovFunction.of(field)
-    x = take_samples(field, grid_size=GRID).x
-    near = np.argsort(np.abs(function(x) - level))[:2_000]
-    x = to_level_set(function, x[near], level)
-    np.testing.assert_allclose(function(x), level, rtol=1e-5)
-    angle = np.sort(np.arctan2(x[:, 1], x[:, 0]))
-    assert np.diff(angle).max() < 0.15
-    radius = np.linalg.norm(x, axis=1)
-    for side in (radius < 4, radius > 4):
-        assert side.sum() > 0.2 * len(x)
+    samples = take_samples(field, grid_size=GRID).x
+    V = function(samples)
+    for level in (0.05, 20.0):
+        near = np.argsort(np.abs(V - level))[:2_000]
+        x = to_level_set(function, samples[near], level)
+        np.testing.assert_allclose(function(x), level, rtol=1e-5)
+        angle = np.sort(np.arctan2(x[:, 1], x[:, 0]))
+        assert np.diff(angle).max() < 0.15
+        radius = np.linalg.norm(x, axis=1)
+        assert 0.2 < (radius < 4).mean() < 0.8
 
 
 def test_samples_are_even_and_near(ring):
@@ -196,14 +180,5 @@ def test_samples_are_even_and_near(ring):
     np.testing.assert_array_equal(samples.corners, (lower, upper))
     near = np.abs(np.linalg.norm(samples.x, axis=1) - 4) < 3 * SIGMA
     assert near.mean() > 0.3
-    again = take_samples(field, seed=1, grid_size=GRID)
-    np.testing.assert_array_equal(again.x, samples.x)
-
-
-def test_only_planar_fields_are_sampled(make_field, ring):
-    with pytest.raises(
-        ConfigurationError, match="only planar fields are checked, not one of 3"
-    ):
-        take_samples(make_field("robust", dim=3))
     with pytest.raises(ConfigurationError, match="at least 3 points, not 2"):
-        take_samples(ring[0], grid_size=2)
+        take_samples(field, grid_size=2)

@@ -47,22 +47,19 @@ def test_rings_apart_and_one_in_another_are_one_component_each():
         assert found.follows(path.closed)
 
 
-def test_above_the_saddle_two_rings_are_one_component_with_two_holes():
-    function, path = rings((1.5, -2.0, 0.0), (1.5, 2.0, 0.0), sigma=0.3)
-    saddle = float(function(np.zeros((1, 2)))[0])
-    apart, joined = (sublevel_set(function, c * saddle, path, BOX) for c in (0.9, 1.1))
-    assert apart.follows(path.closed)
-    assert [(c.holes, c.pieces) for c in joined.components] == [(2, (0, 1))]
-    assert not joined.follows(path.closed)
-
-
-def test_above_its_middle_a_ring_is_a_disk():
-    function, path = rings((1.0, 0.0, 0.0), sigma=0.3)
-    middle = float(function(np.zeros((1, 2)))[0])
-    ring, disk = (sublevel_set(function, c * middle, path, BOX) for c in (0.95, 1.05))
-    assert [c.holes for c in ring.components] == [1]
-    assert [c.holes for c in disk.components] == [0]
-    assert not disk.follows(path.closed)
+def test_above_a_critical_level_parts_join_and_holes_close():
+    # Each with the place of the critical point, and the holes and pieces below and above.
+    for circles, place, below, above in (
+        (((1.5, -2.0, 0.0), (1.5, 2.0, 0.0)), [0.0, 0.0], [1, 1], [(2, (0, 1))]),
+        (((1.0, 0.0, 0.0),), [0.0, 0.0], [1], [(0, (0,))]),
+    ):
+        function, path = rings(*circles, sigma=0.3)
+        critical = float(function(np.array([place]))[0])
+        lower, upper = (sublevel_set(function, c * critical, path, BOX) for c in (0.93, 1.07))
+        assert [c.holes for c in lower.components] == below
+        assert lower.follows(path.closed)
+        assert [(c.holes, c.pieces) for c in upper.components] == above
+        assert not upper.follows(path.closed)
 
 
 def test_below_the_saddles_between_waypoints_it_is_beads():
@@ -84,24 +81,19 @@ def test_an_open_piece_is_a_strip_without_holes():
     assert not found.follows(np.array([True]))
 
 
-def test_a_set_that_reaches_the_border_is_not_compact():
+def test_a_set_that_reaches_the_border_is_not_compact_and_an_empty_one_has_no_parts():
     function, path = rings((3.0, 0.0, 0.0))
     border = float(function(np.array([[5.0, 0.0]]))[0])
     inside, outside = (sublevel_set(function, c * border, path, BOX) for c in (0.9, 1.1))
     assert inside.compact
     assert not outside.compact
+    empty = sublevel_set(function, -1.0, path, BOX)
+    assert (empty.components, empty.area, empty.half_width) == ((), 0.0, 0.0)
+    assert not empty.follows(path.closed)
 
 
-def test_an_empty_set_has_no_components():
-    function, path = rings((3.0, 0.0, 0.0))
-    found = sublevel_set(function, -1.0, path, BOX)
-    assert found.components == ()
-    assert (found.area, found.half_width) == (0.0, 0.0)
-    assert not found.follows(path.closed)
-
-
-@pytest.mark.parametrize("unit", [1e-3, 1e3])
-def test_it_scales_with_the_unit(unit):
+def test_it_scales_with_the_unit():
+    unit = 1e3
     plain, path = rings((3.0, 0.0, 0.0))
     function = LyapunovFunction(GaussianMixture(unit * plain.mixture.points, unit * 0.1))
     scaled = ReferencePath((Piece(unit * path.pieces[0].vertices, closed=True),))

@@ -14,8 +14,12 @@ from sgvf_drake.experiments.simulation import simulate_agents
 from sgvf_drake.experiments.singularities import singularity_summary, zero_rows
 from sgvf_drake.experiments.workbench import Row
 from sgvf_drake.fields import FourierCurve, GuidingField, ParametricField
-from sgvf_drake.lyapunov import Singularities, find_singularities, measure_vanishing
-from sgvf_drake.lyapunov.surroundings import NEAR_PATH
+from sgvf_drake.lyapunov import (
+    NEAR_PATH,
+    Singularities,
+    find_singularities,
+    measure_vanishing,
+)
 from sgvf_drake.metrics import grid_starts
 from sgvf_drake.paths import PointCloud, ReferencePath, make_shape, shape_path
 

@@ -1,4 +1,4 @@
-"""What a certificate says: the conditions that were proved, and what follows from them."""
+"""The certificate: what was proved of a field, and the file that says it."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
@@ -8,54 +8,13 @@ import math
 from pathlib import Path
 from typing import Any
 
-from sgvf_drake.certificate.annulus import Annulus
+from sgvf_drake.certificate.conditions import Conditions
+from sgvf_drake.certificate.orbits import Annulus
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields.storage import write_whole
 
 FORMAT = "sgvf_drake.certificate"
 VERSION = 1
-
-
-@dataclass(frozen=True)
-class Conditions:
-    """C1 and C2, in the field's normalised units.
-
-    C1: V_dot <= -alpha along m wherever c_in <= V <= c_out.  C2: |m| >= delta wherever
-    V <= c_in.
-
-    Attributes:
-        sigma: The noise level of V.
-        lowest: What is taken off -log sum_i exp(-|x - x_i|^2 / 2 sigma^2) to make V.
-        c_in: The lower level.
-        c_out: The upper level.
-        alpha: The rate, per normalised unit of length.
-        delta: The speed.
-        share: The part of V_dot and |m| that their bounds keep on every square; how sharp
-            what follows is, not what is true.
-
-    Raises:
-        ConfigurationError: One is no number, or out of its range: with a rate or a speed of
-            zero, or an empty band, the conditions would hold and say nothing.
-    """
-
-    sigma: float
-    lowest: float
-    c_in: float
-    c_out: float
-    alpha: float
-    delta: float
-    share: float
-
-    def __post_init__(self) -> None:
-        for name, value in asdict(self).items():
-            if not isinstance(value, (int, float)) or not math.isfinite(value):
-                raise ConfigurationError(f"{name} must be a number, not {value!r}")
-        positive = min(self.sigma, self.c_in, self.alpha, self.delta)
-        if not (positive > 0 and self.c_in < self.c_out and 0 <= self.share < 1):
-            raise ConfigurationError(
-                "sigma, c_in, alpha and delta must be above zero, c_out above c_in, and share "
-                f"from 0 to below 1, not {asdict(self)}"
-            )
 
 
 @dataclass(frozen=True)

@@ -8,15 +8,15 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from sgvf_drake.arrays import FloatArray
-from sgvf_drake.certificate.annulus import Annulus
-from sgvf_drake.certificate.boxes import Boxes
+from sgvf_drake.certificate.boxes import Boxes, BoxSizes
+from sgvf_drake.certificate.certificate import Certificate
+from sgvf_drake.certificate.conditions import Conditions
 from sgvf_drake.certificate.field_model import model_field
 from sgvf_drake.certificate.kernels import check_rounding
 from sgvf_drake.certificate.mixture_model import lowest_of, mixture_of
 from sgvf_drake.certificate.orbit_search import propose_annuli
-from sgvf_drake.certificate.proof import failed, prove
-from sgvf_drake.certificate.squares import Squares
-from sgvf_drake.certificate.statement import Certificate, Conditions
+from sgvf_drake.certificate.orbits import Annulus
+from sgvf_drake.certificate.path_following import failed, prove
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import GuidingField
 from sgvf_drake.fields.storage import field_digest
@@ -65,7 +65,7 @@ def certify(
         raise ConfigurationError(f"only planar fields are certified, not one of {field.dim}-D")
     check_rounding()
     # What nothing bounds is told before the search.
-    model_field(field, Boxes.square(Squares.of(field).cover))
+    model_field(field, Boxes.square(BoxSizes.of(field).cover))
     reference = learned_path(field) if reference is None else reference
     with threadpool_limits(**ONE_THREAD):
         return _search(field, reference, progress)

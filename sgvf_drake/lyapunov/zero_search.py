@@ -1,0 +1,251 @@
+"""All zeros of a planar field in a box: by subdivision, each refined by Newton's method.
+
+Every cell of a quadtree ends in one of four ways: the field does not vanish in it; it holds
+exactly one zero, which is found; it is quartered; or it is left at the smallest size as
+undecided, as where zeros are degenerate or form a line.  What is left has an index, as long as
+the field does not vanish around it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial import cKDTree
+
+from sgvf_drake.arrays import BoolArray, FloatArray, IntArray
+from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.fields import Field
+from sgvf_drake.lyapunov.cells import (
+    CellModel,
+    Cells,
+    InChunks,
+    PlanarMap,
+    adjugate,
+    is_one_to_one,
+)
+from sgvf_drake.lyapunov.winding import cut, turning
+
+# Side of the first cells, in scales of the field.
+FIRST_CELL = 1.0
+# The scale where none is given, and the side of the smallest cells, in sides of the box.
+DEFAULT_SCALE = 1 / 64
+SMALLEST_CELL = 2.0**-30
+# Where the box is small and far from the origin, cells are at least so many times the distance
+# between neighbouring numbers.
+SPACINGS = 1_000
+# A search that would need more cells than this leaves what remains undecided.
+MOST_CELLS = 300_000
+# A zero is looked for in a cell enlarged by this factor, so that one on the border between
+# two cells is found from both.
+ENLARGED = 1.25
+# Newton's method doubles the digits in every step; these are enough for all of them.
+NEWTON_STEPS = 8
+# The last step is shorter than this part of the cell's half-side; the next would not show.
+NEWTON_TOLERANCE = 1e-6
+# A zero this far outside of the box, in its sides, is on its border.
+ROUNDING = 1e-12
+# Along the bottom of a valley |m| is less than this part of what it rises to across half a
+# cell: no zeros there can be told apart, neither by a search nor by a robot.
+FLATNESS = 1e-5
+# Steps across a valley to its bottom, with the slope at the centre of the cell throughout.
+VALLEY_STEPS = 12
+# Places along the bottom that are looked at, in half-sides from the middle; not a whole side
+# apart, which might be the distance between the zeros.
+VALLEY_PLACES = (-0.7, 0.0, 0.7)
+# Parts of a cell's side in which the field is followed around a cluster.
+BORDER_PARTS = 4
+# |m| is zero where it can be made less than this part of what it is nearby.
+VANISHING = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class ZeroSearch:
+    """What `find_zeros` found.
+
+    Attributes:
+        points: (k, 2) the zeros.
+        indices: (k,) their Poincare indices.
+        degenerate: (k,) whether each stands for a cluster of cells that remained undecided.
+        undecided: Number of those clusters, whether or not they hold a zero.
+        cells: Number of cells over which the field was evaluated.
+    """
+
+    points: FloatArray
+    indices: IntArray
+    degenerate: BoolArray
+    undecided: int
+    cells: int
+
+
+def find_zeros(
+    field: Field, box: tuple[FloatArray, FloatArray], scale: float | None = None
+) -> ZeroSearch:
+    """Finds all zeros of a planar field in a box, its border included.
+
+    All of them, as far as the rims of cells tell what is in them; see `CellModel`.
+
+    Args:
+        field: The field, differentiable where it vanishes.
+        box: Lower and upper corner, (2,) each.
+        scale: The length over which the field changes, in the unit of the box; None: a 64th
+            of the box.
+
+    Raises:
+        ConfigurationError: The field or the box is not planar, or the field vanishes along a
+            line that reaches the border of the box, so that its zeros have no index.
+    """
+    lower, upper = (np.asarray(corner, dtype=np.float64) for corner in box)
+    if field.dim != 2 or lower.shape != (2,) or upper.shape != (2,):
+        raise ConfigurationError("zeros are found of planar fields in planar boxes only")
+    size = float((upper - lower).max())
+    first = Cells.covering(
+        (lower, upper), FIRST_CELL * (DEFAULT_SCALE * size if scale is None else scale)
+    )
+    values = InChunks(field)
+    finest = SPACINGS * float(np.spacing(np.abs([lower, upper]).max()))
+    points, undecided, count = _search(values, first, max(SMALLEST_CELL * size, finest))
+    indices = np.sign(np.linalg.det(values.value_and_jacobian(points)[1])).astype(np.intp)
+    found = [_zero_of_cluster(values, cells, points, indices) for cells in undecided]
+    held = [zero for zero in found if zero is not None]
+    points = np.concatenate([points, *(point[None] for point, _ in held)])
+    indices = np.append(indices, [index for _, index in held]).astype(np.intp)
+    degenerate = np.arange(len(points)) >= len(points) - len(held)
+    # The last bits of a zero on the border may lie beyond it.
+    slack = ROUNDING * size
+    inside = ((points >= lower - slack) & (points <= upper + slack)).all(axis=1)
+    return ZeroSearch(points[inside], indices[inside], degenerate[inside], len(found), count)
+
+
+def _search(
+    field: PlanarMap, cells: Cells, smallest: float
+) -> tuple[FloatArray, list[Cells], int]:
+    """Returns the simple zeros (k, 2), clusters of undecided cells, and the number of cells."""
+    count, found = len(cells), [np.empty((0, 2))]
+    cells, smooth = _left_over(field, cells)
+    flat = _flat_cells(field, cells)
+    # What is beside them counts as part of them: there, the field does not vanish.
+    beside = cells[flat].grown().contains(cells.centers)
+    lines, cells, smooth = cells[flat], cells[~beside], smooth[~beside]
+    while len(cells):
+        zeros, decided = _single_zeros(field, cells, smooth)
+        found.append(zeros)
+        cells = cells[~decided]
+        if cells.half < smallest or count + 4 * len(cells) > MOST_CELLS:
+            break
+        cells = cells.quartered()
+        count += len(cells)
+        cells, smooth = _left_over(field, cells)
+    points = _distinct(np.concatenate(found), smallest)
+    return points, [*lines.clusters(), *cells.clusters()], count
+
+
+def _left_over(field: PlanarMap, cells: Cells) -> tuple[Cells, BoolArray]:
+    """Returns the cells in which a field may vanish, and where it is nearly linear in them."""
+    model = CellModel.over(field, cells)
+    left = ~model.vanishes_nowhere()
+    return cells[left], model.is_nearly_linear()[left]
+
+
+def _single_zeros(
+    field: PlanarMap, cells: Cells, smooth: BoolArray
+) -> tuple[FloatArray, BoolArray]:
+    """Returns zeros (k, 2), and whether each cell has one and no other, (n,).
+
+    Args:
+        field: The field.
+        cells: The cells, n of them.
+        smooth: (n,) in which of them to look.
+    """
+    half = ENLARGED * cells.half
+    decided = np.zeros(len(cells), bool)
+    candidates = np.flatnonzero(smooth)
+    candidates = candidates[is_one_to_one(field, cells.centers[candidates], half)]
+    zeros, converged = _newton(field, cells.centers[candidates], half)
+    decided[candidates[converged]] = True
+    return zeros[converged], decided
+
+
+def _newton(field: PlanarMap, centers: FloatArray, half: float) -> tuple[FloatArray, BoolArray]:
+    """Returns where Newton's method leads from the centres, and whether to a zero nearby."""
+    x = centers.copy()
+    inside = np.ones(len(x), bool)
+    last = np.full(len(x), np.inf)
+    for _ in range(NEWTON_STEPS):
+        value, J = field.value_and_jacobian(x[inside])
+        determinant = np.linalg.det(J)
+        # Where the Jacobian is singular, there is no step to a zero.
+        determinant[determinant == 0] = np.inf
+        step = (adjugate(J) @ value[:, :, None])[:, :, 0] / determinant[:, None]
+        x[inside] -= step
+        last[inside] = np.where(np.isinf(determinant), np.inf, np.abs(step).max(axis=1))
+        inside = np.abs(x - centers).max(axis=1) <= half
+    return x, inside & (last <= NEWTON_TOLERANCE * half)
+
+
+def _distinct(points: FloatArray, distance: float) -> FloatArray:
+    """Returns one of points that are nearer to each other than a distance."""
+    kept = np.ones(len(points), bool)
+    kept[cKDTree(points).query_pairs(distance, output_type="ndarray")[:, 1]] = False
+    return points[kept]
+
+
+def _zero_of_cluster(
+    field: PlanarMap, cells: Cells, points: FloatArray, indices: IntArray
+) -> tuple[FloatArray, int] | None:
+    """Returns where |m| is smallest in a cluster of undecided cells, and the index of it all.
+
+    None where nothing tells of a zero beside those that were told apart: the index is zero,
+    and |m| cannot be made zero to rounding, or one of those is there.
+
+    Args:
+        field: The field.
+        cells: The cells.
+        points: (k, 2) the zeros that were told apart,
+        indices: (k,) and their indices; those of zeros beside the cells are subtracted.
+
+    Raises:
+        ConfigurationError: The field vanishes on the border around the cells.
+    """
+    around = cells.grown()
+    known = around.contains(points)
+    turns = turning(field, *cut(*around.border(), cells.side / BORDER_PARTS)) / (2 * np.pi)
+    index = round(turns) - int(indices[known].sum())
+    values = np.linalg.norm(field(cells.centers), axis=1)
+    start, size = cells.centers[values.argmin()], float(values.max())
+
+    def scaled(u: FloatArray) -> FloatArray:
+        return field((start + cells.side * u)[None])[0] / size
+
+    def slope(u: FloatArray) -> FloatArray:
+        jacobian = field.value_and_jacobian((start + cells.side * u)[None])[1]
+        return jacobian[0] * cells.side / size
+
+    least = least_squares(scaled, np.zeros(2), slope, xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    near = np.abs(least.x).max() <= 2
+    point = start + cells.side * least.x if near else start
+    zero = bool(near and np.linalg.norm(least.fun) < VANISHING)
+    return (point, index) if index != 0 or (zero and not known.any()) else None
+
+
+def _flat_cells(field: PlanarMap, cells: Cells) -> BoolArray:
+    """Whether each cell is crossed by a valley of |m| whose bottom is flat to `FLATNESS`, (n,).
+
+    In the steepest direction a field passes through zero; along the line where it does so,
+    only the component across that direction is left.
+    """
+    flat = np.zeros(len(cells), bool)
+    U, singular, Vt = np.linalg.svd(field.value_and_jacobian(cells.centers)[1])
+    sloped = np.flatnonzero(singular[:, 0] > 0)
+    steepest, uphill, along = U[sloped, :, 0], Vt[sloped, 0], Vt[sloped, 1]
+    slope, center = singular[sloped, 0], cells.centers[sloped]
+    flat[sloped] = True
+    for place in VALLEY_PLACES:
+        x = center + place * cells.half * along
+        for _ in range(VALLEY_STEPS):
+            height = (steepest * field(x)).sum(axis=1) / slope
+            # Where the slope at the centre says nothing of that here, not out of sight.
+            x = x - np.clip(height, -cells.side, cells.side)[:, None] * uphill
+        bottom = np.linalg.norm(field(x), axis=1)
+        near = np.linalg.norm(x - center, axis=1) <= cells.side
+        flat[sloped] &= near & (bottom <= FLATNESS * slope * cells.half)
+    return flat

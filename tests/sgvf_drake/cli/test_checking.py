@@ -1,0 +1,262 @@
+"""The commands `verify`, `certify` and `singularities`: what they print, leave and refuse."""
+
+from dataclasses import replace
+import json
+
+import numpy as np
+import pytest
+
+from sgvf_drake.certificate import Certificate
+from sgvf_drake.fields import GaussianMixture, Perceptron, load_field
+from sgvf_drake.paths import PointCloud
+from tests.data.make import FOLDER, field_file
+
+CERTIFICATE = FOLDER.parent / "certificates" / "ring.json"
+TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
+
+
+def linear(matrix, point=(0.0, 0.0)):
+    """The network matrix (z - point)."""
+    matrix = np.asarray(matrix, float)
+    return Perceptron((matrix,), (-matrix @ np.asarray(point, float),))
+
+
+def around_a_ring(field, num_points):
+    """A field with the closed-form score of a ring of equal waypoints, and the rotation."""
+    angle = 2 * np.pi * np.arange(num_points) / num_points
+    cloud = PointCloud(3 * np.column_stack([np.cos(angle), np.sin(angle)]))
+    score = GaussianMixture(cloud.normalize(cloud.points), field.sigma)
+    return replace(field, cloud=cloud, score_model=score, tangent_network=linear(TURN))
+
+
+@pytest.fixture(scope="module")
+def fields(tmp_path_factory, make_field):
+    """A folder with files of fields, and a ring as a polyline."""
+    folder = tmp_path_factory.mktemp("fields")
+    sparse = around_a_ring(make_field("exact", sigma=0.15), 100)
+    learned = replace(
+        make_field("paper"),
+        cloud=sparse.cloud,
+        tangent_network=linear(TURN - 0.2 * np.eye(2)),
+    )
+    ring = load_field(field_file("ring"))
+    sink = linear(-np.eye(2), ring.cloud.normalize([0.0, 4.0]))
+    for name, field in (
+        ("bad", replace(ring, tangent_network=sink)),
+        ("sparse", sparse),
+        ("dense", around_a_ring(make_field("exact", sigma=0.15), 400)),
+        ("learned", learned),
+        ("ring", ring),
+        ("stopping", replace(ring, tangent_network=linear([[1.0, 0.0], [0.0, 0.0]]))),
+        ("open", make_field("robust", ends=1)),
+        ("spatial", make_field("robust", 3)),
+    ):
+        # The cloud has no shape that a reference could be made of.
+        field = replace(field, cloud=PointCloud(field.cloud.points))
+        field.save(folder / f"{name}.safetensors")
+    np.savetxt(
+        folder / "ring.csv", sparse.cloud.points, delimiter=",", header="x,y", comments=""
+    )
+    (folder / "broken.safetensors").write_bytes(b"no field")
+    return folder
+
+
+def summary_of(folder):
+    return json.loads((folder / "summary.json").read_text())
+
+
+def words_of(printed):
+    return " ".join(printed.replace("│", " ").split())
+
+
+# verify
+
+
+def test_a_good_field_is_verified(run, fields, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert run("verify", fields / "ring.safetensors", "--starts", 16, "--out", out) == 0
+    printed = capsys.readouterr()
+    for words in ("sampled conditions", "hold", "band of V", "|cos(s, v)|", "bound, gradient"):
+        assert words in printed.out
+    assert printed.err == ""
+    assert summary_of(out)["holds"] is True
+
+
+def test_a_planted_sink_is_named_with_its_place(run, fields, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert run("verify", fields / "bad.safetensors", "--out", out) == 0
+    printed = capsys.readouterr()
+    assert "do NOT hold" in printed.out
+    assert "warning: the conditions do not hold" in printed.err
+    zeros = [v for v in summary_of(out)["violations"] if v["counts"] and v["kind"] == "zero"]
+    at = np.array([zero["point"] for zero in zeros])
+    nearest = int(np.linalg.norm(at - [0.0, 4.0], axis=1).argmin())
+    np.testing.assert_allclose(at[nearest], [0.0, 4.0], atol=0.05)
+    assert zeros[nearest]["detail"] == "sink"
+
+
+# certify
+
+KEYS = {
+    *("certified", "reason", "sigma", "c_in", "c_out", "alpha", "delta", "tube_half_width"),
+    *("area_fraction", "decrease_fraction", "boxes", "time_s", "entry_time_bound"),
+    *("e_star_max", "counterexample", "pieces"),
+}
+
+
+def test_a_certificate_is_proved_anew(run, fields, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert (
+        run("certify", fields / "ring.safetensors", "--check", CERTIFICATE, "--out", out) == 0
+    )
+    assert "certified yes" in words_of(capsys.readouterr().out)
+    assert {path.name for path in out.iterdir()} == {
+        *("summary.json", "certificate.json", "certificate.png")
+    }
+    summary, stored = summary_of(out), Certificate.load(CERTIFICATE)
+    assert set(summary) >= KEYS
+    assert (summary["certified"], summary["checked"]) == (True, True)
+    (piece,) = summary["pieces"]
+    assert piece["holes"] == 1
+    assert piece["orbit_exists"] is True
+    assert piece["lap_time_low"] < 8 * np.pi < piece["lap_time_high"]
+    assert summary["alpha"] == pytest.approx(stored.alpha, rel=1e-9)
+    assert Certificate.load(out / "certificate.json").is_as_strong_as(stored)
+
+
+def test_a_stop_on_the_path_ends_in_status_1_and_a_summary(run, fields, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert run("certify", fields / "stopping.safetensors", "--out", out) == 1
+    assert "certified NO" in words_of(capsys.readouterr().out)
+    summary = summary_of(out)
+    assert (summary["certified"], summary["checked"]) == (False, False)
+    x, y = summary["counterexample"]
+    assert abs(x) < 0.1
+    assert abs(abs(y) - 4) < 0.3
+
+
+FLIGHT = ("--scale", 0.1, "--speed", 1.5, "--laps", 1)
+
+
+def test_a_flight_is_held_against_the_certificate(run, fields, tmp_path, capsys):
+    out, field = tmp_path / "out", fields / "ring.safetensors"
+    against = ("--html", "--certificate", CERTIFICATE)
+    assert run("fly", field, *FLIGHT, *against, "--out", out) == 0
+    assert {path.name for path in out.iterdir()} == {
+        *("summary.json", "certificate.png", "flight_1.html", "flight_1.parquet"),
+        "flight_1.png",
+    }
+    found, claimed = summary_of(out)["certificate"], Certificate.load(CERTIFICATE)
+    assert found["c_in"] == claimed.conditions.c_in
+    assert found["e_star_max"] == claimed.e_star_max
+    assert len(found["what_it_does_not_cover"]) > 3
+    # So fast, it flies a wider field than the one that is certified.
+    assert found["inside_margin"] is False
+    assert "NOT inside of the margin" in words_of(capsys.readouterr().out)
+    # Without a certificate, its figure does not stay.
+    assert run("fly", field, *FLIGHT, "--overwrite", "--out", out) == 0
+    assert "certificate" not in summary_of(out)
+    assert not (out / "certificate.png").exists()
+
+
+# singularities
+
+
+def test_the_zeros_of_a_ring(run, fields, tmp_path, capsys):
+    out = tmp_path / "out"
+    ring = ("--reference", fields / "ring.csv", "--columns", "x,y")
+    assert run("singularities", fields / "sparse.safetensors", *ring, "--out", out) == 0
+    printed = capsys.readouterr()
+    for words in (
+        "zeros of the guiding field 1 focus",
+        "100 sink",
+        "100 saddle",
+        "1 centre; indices sum up to 1, winding number 1",
+        "undecided places 0",
+        "score vanishes at low density no (",
+        "score vanishes near branches nothing to tell by",
+    ):
+        assert words in words_of(printed.out)
+    assert printed.err == ""
+    summary = summary_of(out)
+    assert summary["reference"] == "file"
+    assert summary["index_sum"] == summary["winding_number"] == 1
+
+
+def test_a_line_of_zeros_is_told(run, fields, tmp_path, capsys):
+    out, command = tmp_path / "out", ("singularities", fields / "dense.safetensors")
+    out.mkdir()
+    (out / "zeros.csv").write_text("mine\n")
+    assert run(*command, "--out", out) == 2
+    assert "pass --overwrite" in capsys.readouterr().err
+    assert (out / "zeros.csv").read_text() == "mine\n"
+    assert run(*command, "--out", out, "--overwrite") == 0
+    assert (out / "zeros.csv").read_text().startswith("x,y,")
+    words = words_of(capsys.readouterr().out)
+    assert "1 degenerate" in words
+    assert "undecided places 1" in words
+    summary = summary_of(out)
+    assert summary["undecided_by_field"] == {"guiding": 0, "score": 1, "tangent": 0}
+    assert summary["reference"] == "cloud"
+
+
+def test_zeros_are_proved_on_request(run, fields, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert run("singularities", fields / "learned.safetensors", "--prove", "--out", out) == 0
+    words = words_of(capsys.readouterr().out)
+    assert "proved of the tangent 1 enclosed, no others; winding number 1" in words
+    proved = summary_of(out)["proved"]
+    assert list(proved) == ["guiding", "score", "tangent"]
+    for part in proved.values():
+        assert part["complete"]
+        assert part["undecided"] == 0
+        assert part["winding_number"] == part["index_sum"]
+        assert part["boxes"] > 1_000
+    (zero,) = proved["tangent"]["zeros"]
+    assert (zero["index"], zero["kind"], zero["stable"]) == (1, "focus", True)
+    assert np.abs([zero["x"], zero["y"]]).max() <= zero["radius"] < 1e-9
+
+
+# Bad input. A name ending in .safetensors or .json is that of a file of `fields`.
+
+CHECK = ("--check", CERTIFICATE)
+COLUMNS = "--columns x,y chooses columns of --reference; give both"
+NO_FIELD = "broken.safetensors: not a whole safetensors file"
+BAD = [
+    ("verify", ("spatial",), "only planar fields are checked, not one of 3-D"),
+    ("verify", ("ring", "--starts", 0), "the number of starts must be at least 1, not 0"),
+    ("verify", ("ring", "--fly", "--speed", -1), "speed must be a positive number, not -1.0"),
+    ("verify", ("ring", "--scale", 0), "the scale must be a positive number, not 0.0"),
+    ("verify", ("ring", "--columns", "x,y"), COLUMNS),
+    ("verify", ("ring", "--reference", "no.csv"), "no.csv"),
+    ("verify", ("broken",), NO_FIELD),
+    ("verify", ("missing",), "missing.safetensors: no such file"),
+    ("singularities", ("open", "--prove"), "zeros are enclosed of smooth fields of closed"),
+    ("singularities", ("spatial",), "found of planar fields, not in 3 dimensions"),
+    ("singularities", ("sparse", "--columns", "x,y"), COLUMNS),
+    ("certify", ("spatial",), "planar"),
+    ("certify", ("stopping", *CHECK), "another field"),
+    ("certify", ("ring", *CHECK, "--speed", 1.5, "--scale", 0.25), "another field"),
+    ("certify", ("ring", "--check", "none.json"), "none.json"),
+    ("fly", ("stopping", "--certificate", CERTIFICATE), "the certificate of another field"),
+    ("fly", ("ring", "--certificate", "."), "no certificate in ."),
+    ("fly", ("ring", "--tour", "1,1", "--certificate", CERTIFICATE), "says nothing of a tour"),
+]
+
+
+@pytest.mark.parametrize(("command", "arguments", "words"), BAD, ids=[bad[2] for bad in BAD])
+def test_bad_input_is_one_line(fields, tmp_path, refused, command, arguments, words):
+    (name, *options), out = arguments, tmp_path / "out"
+    field = fields / f"{name}.safetensors"
+    assert words in refused(command, field, *options, "--out", out)
+    assert not out.exists()
+
+
+def test_a_changed_certificate_and_a_tube_that_is_none_are_refused(fields, tmp_path, refused):
+    field, file = fields / "ring.safetensors", tmp_path / "changed.json"
+    file.write_text(CERTIFICATE.read_text().replace('"boxes": ', '"boxes": 1'))
+    line = refused("certify", field, "--check", file, "--out", tmp_path / "out")
+    assert "changed.json" in line
+    assert "was changed" in line
+    line = refused("fly", field, "--html", "--tube", field, "--out", tmp_path / "out")
+    assert "ring.safetensors: cannot be read" in line
