@@ -15,7 +15,7 @@ import pandas as pd
 
 from sgvf_drake import plotting
 from sgvf_drake.arrays import FloatArray
-from sgvf_drake.experiments.intervals import interval
+from sgvf_drake.paper.intervals import interval
 
 # Arrows along each side of a field.
 ARROWS = 23

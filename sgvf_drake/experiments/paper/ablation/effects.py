@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from sgvf_drake.experiments.intervals import interval
+from sgvf_drake.paper.intervals import interval
 
 COMPLETE = "complete"
 """The variant that lacks nothing."""

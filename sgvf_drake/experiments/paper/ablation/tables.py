@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from sgvf_drake.experiments.intervals import POSITIVE, SHARE, interval_columns
+from sgvf_drake.paper.intervals import POSITIVE, SHARE, interval_columns
 from sgvf_drake.experiments.workbench import Record
 
 Range = tuple[float, float]

@@ -9,7 +9,7 @@ import pandas as pd
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments.feasibility import Feasibility
 from sgvf_drake.experiments.figures.tour import tour_figure
-from sgvf_drake.experiments.intervals import interval_columns
+from sgvf_drake.paper.intervals import interval_columns
 from sgvf_drake.experiments.outcome import Exhibit, Outcome
 from sgvf_drake.experiments.paper.flights.claims import Flight, flights_claims
 from sgvf_drake.experiments.paper.flights.measures import motion_of

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from sgvf_drake.experiments.intervals import fraction_interval
+from sgvf_drake.paper.intervals import fraction_interval
 from sgvf_drake.experiments.outcome import Claim, Verdict
 from sgvf_drake.experiments.paper.overview.losses import LossCourse
 

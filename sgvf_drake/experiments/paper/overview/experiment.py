@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from sgvf_drake.experiments.figures.overview import OverviewRow, overview_figure
-from sgvf_drake.experiments.intervals import SHARE, fraction_columns, interval_columns
+from sgvf_drake.paper.intervals import SHARE, fraction_columns, interval_columns
 from sgvf_drake.experiments.outcome import Exhibit, Outcome
 from sgvf_drake.experiments.paper.overview.claims import followed, overview_claims
 from sgvf_drake.experiments.paper.overview.losses import losses_table, tangent_courses

@@ -11,7 +11,7 @@ from sgvf_drake.experiments.figures.ablation import (
     measures_figure,
     variants_figure,
 )
-from sgvf_drake.experiments.intervals import POSITIVE, SHARE
+from sgvf_drake.paper.intervals import POSITIVE, SHARE
 from sgvf_drake.experiments.outcome import Exhibit, Outcome
 from sgvf_drake.experiments.paper.ablation.panels import panels_of
 from sgvf_drake.experiments.paper.ablation.tables import (
