@@ -117,7 +117,7 @@ def run(tmp_path_factory):
     kind = LossAblation(
         networks=[[6, 6]],
         starts=4,
-        patience=0.5,
+        patience=0.1,
         score_iterations=30,
         tangent_iterations=30,
         seeds=[0],
