@@ -14,7 +14,7 @@ import pandas as pd
 
 from sgvf_drake import plotting
 from sgvf_drake.arrays import BoolArray, FloatArray
-from sgvf_drake.experiments.intervals import SHARE, interval
+from sgvf_drake.paper.intervals import SHARE, interval
 from sgvf_drake.fields import GuidingField
 
 UNIT = "unit of the waypoints"

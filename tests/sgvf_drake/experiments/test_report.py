@@ -14,7 +14,7 @@ from PIL import Image
 import pytest
 
 from sgvf_drake.experiments import run_reproduce
-from sgvf_drake.experiments.intervals import interval_columns
+from sgvf_drake.paper.intervals import interval_columns
 from sgvf_drake.experiments.report import build_page
 from sgvf_drake.experiments.report.numbers import (
     cell_text,

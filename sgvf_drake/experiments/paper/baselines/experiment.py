@@ -8,7 +8,7 @@ import pandas as pd
 
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments.figures.baselines import Panel, baselines_figure
-from sgvf_drake.experiments.intervals import SHARE, interval, interval_columns
+from sgvf_drake.paper.intervals import SHARE, interval, interval_columns
 from sgvf_drake.experiments.outcome import Exhibit, Outcome
 from sgvf_drake.experiments.paper.baselines.claims import HANDLED, baseline_claims
 from sgvf_drake.experiments.paper.baselines.methods import CASES, LEARNED, METHODS

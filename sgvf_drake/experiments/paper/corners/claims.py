@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import spearmanr
 
-from sgvf_drake.experiments.intervals import SHARE, interval
+from sgvf_drake.paper.intervals import SHARE, interval
 from sgvf_drake.experiments.outcome import Claim, Verdict
 
 SECTION = "Section VI-B"

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from sgvf_drake.arrays import FloatArray
-from sgvf_drake.experiments.intervals import interval_columns
+from sgvf_drake.paper.intervals import interval_columns
 from sgvf_drake.experiments.paper.corners.traps import Traps, even_share, examine
 
 NETWORKS = ("shallow", "deep", "robust")

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from sgvf_drake.experiments.figures.indexing import Agents, IndexingColumn, indexing_figure
-from sgvf_drake.experiments.intervals import SHARE, interval_columns
+from sgvf_drake.paper.intervals import SHARE, interval_columns
 from sgvf_drake.experiments.outcome import Exhibit, Outcome
 from sgvf_drake.experiments.paper.baselines.trials import (
     TRAJECTORIES,

@@ -10,7 +10,7 @@ import pandas as pd
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments.clouds import make_cloud
 from sgvf_drake.experiments.figures.stein import ScoreSeries, stein_figure
-from sgvf_drake.experiments.intervals import interval_columns
+from sgvf_drake.paper.intervals import interval_columns
 from sgvf_drake.experiments.outcome import Exhibit, Outcome
 from sgvf_drake.experiments.paper.stein.claims import stein_claims
 from sgvf_drake.experiments.paper.stein.findings import SQUASHED_NAME, Finding, find

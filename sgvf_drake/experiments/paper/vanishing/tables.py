@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from sgvf_drake.experiments.intervals import interval_columns
+from sgvf_drake.paper.intervals import interval_columns
 
 Row = Mapping[str, Any]
 Cases = Mapping[tuple[str, str], Sequence[Row]]

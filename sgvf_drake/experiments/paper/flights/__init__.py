@@ -1,1 +1,0 @@
-"""Fig. 3: flights from branch to branch."""

@@ -1,1 +1,0 @@
-"""Fig. 4: what each loss of the tangent is for."""

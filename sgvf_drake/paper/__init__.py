@@ -1,0 +1,1 @@
+"""The paper's experiments: trials, claims with verdicts, tables and figures."""

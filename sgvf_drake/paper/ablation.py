@@ -1,0 +1,421 @@
+"""Recipes complete and without each of their parts: how they are trained, measured and told.
+
+The variants of a training differ in nothing but the part that is taken out, so that what the
+part does is seen seed by seed.
+"""
+
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+import pandas as pd
+
+from sgvf_drake.experiments.follow import follow
+from sgvf_drake.experiments.quality.measures import following, measure_score
+from sgvf_drake.experiments.workbench import Row, Workbench
+from sgvf_drake.fields import GuidingField, ScoreNetwork
+from sgvf_drake.lyapunov import verify
+from sgvf_drake.lyapunov.band import SIGMA_RATIOS
+from sgvf_drake.metrics import default_duration
+from sgvf_drake.paper.ablation_figures import (
+    ENDS,
+    LAPPED,
+    MeasurePanel,
+    measures_figure,
+    variants_figure,
+)
+from sgvf_drake.paper.along_path import (
+    direction_row,
+    directions,
+    drift_row,
+    lengths_row,
+    sample_path,
+)
+from sgvf_drake.paper.claims import Rows
+from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
+from sgvf_drake.paper.intervals import POSITIVE, SHARE, interval, interval_columns
+from sgvf_drake.paths import ReferencePath, make_shape
+
+COMPLETE = "complete"
+"""The variant that lacks nothing."""
+
+NO_UNIT, NO_ORTHOGONALITY, NO_DIRECTION = "no-unit", "no-orthogonality", "no-direction"
+NOISY_TARGET, NO_FEATURES = "noisy-target", "no-features"
+NO_HINT, NO_PROJECTION = "no-hint", "no-projection"
+VARIANTS: Mapping[str, tuple[str, Mapping[str, Any]]] = {
+    COMPLETE: ("complete", {}),
+    NO_UNIT: ("no unit length", {"unit_weight": 0.0}),
+    NO_ORTHOGONALITY: ("no orthogonality", {"orthogonality_weight": 0.0}),
+    NO_DIRECTION: ("no directional consistency", {"direction_weight": 0.0}),
+    NOISY_TARGET: ("noisy target", {"exact_target": False}),
+    NO_FEATURES: ("no Fourier features", {"num_frequencies": 0}),
+    NO_HINT: ("no hint", {"hint_weight": 0.0}),
+    NO_PROJECTION: ("no projection", {"projection": False}),
+}
+"""What each variant is called, and its options of the training; the keys name its files."""
+
+OF_THE_SCORE = (NOISY_TARGET, NO_FEATURES)
+"""The variants that learn another score; the others share that of the complete recipe."""
+
+FIELDS = "fields"
+"""The name of the table of both ablations, of one row a field."""
+
+SPEED_ERROR = "following.speed_error"
+"""The largest | |m| - 1 | on the path, from the speeds of `quality.measures.following`."""
+
+Range = tuple[float, float]
+ANY: Range = (-np.inf, np.inf)
+
+FOLLOWED: Mapping[str, tuple[str, Range]] = {
+    "reach": ("following.reach", SHARE),
+    "lap": ("following.lap", SHARE),
+    "stall": ("following.stall", SHARE),
+    "leave": ("following.leave", SHARE),
+    "RMS, U": ("following.rms_u", POSITIVE),
+}
+"""Columns that say how well a field is followed; see `SeedsTable`."""
+
+
+@dataclass(frozen=True)
+class AblationTrial:
+    """A recipe complete, and without each of some parts.
+
+    Attributes:
+        recipe: The recipe.
+        shape: A named shape of closed pieces.
+        seed: Seed of the cloud and of the training.
+        hidden: Hidden widths of the tangent network; None: those of the recipe.
+        variants: The variants beside the complete recipe.
+        starts: Agents that follow each field.
+        patience: Their time to run, in the usual one for a field of unit length.
+        ratios: The noise levels of V that the sublevel checks try, in those of the field.
+        score_iterations: Optimisation steps of the score network.
+        tangent_iterations: Optimisation steps of the tangent network.
+    """
+
+    recipe: Literal["paper", "robust"]
+    shape: str
+    seed: int
+    hidden: tuple[int, ...] | None
+    variants: tuple[str, ...]
+    starts: int
+    patience: float
+    ratios: tuple[float, ...]
+    score_iterations: int
+    tangent_iterations: int
+
+
+def measure_ablation(trial: AblationTrial, folder: Path) -> Row:
+    """Trains and measures all variants; leaves `VARIANT.safetensors` and `VARIANT.npz`.
+
+    They begin with the same networks and the same random numbers.  No training starts again,
+    so that what is measured is the first attempt.
+
+    Returns:
+        For each variant following: see `followed_row`; check: see `checked_row`; score: see
+        `quality.measures.measure_score`; lengths: see `lengths_row`; drift: see `drift_row`;
+        tangent, whole: see `direction_row`, of v and of m; passed: whether the self-check
+        did; train_cpu_s, of the score only where it was learned.
+    """
+    # Imported here: what was measured before is shown without torch.
+    from sgvf_drake.learning import TrainingConfig, train
+
+    cloud, reference = make_shape(trial.shape, seed=trial.seed)
+    unit, samples = cloud.unit_length, sample_path(reference, cloud.unit_length)
+    rows: Row = {}
+    shared: ScoreNetwork | None = None
+    for name in (COMPLETE, *trial.variants):
+        config = TrainingConfig(
+            recipe=trial.recipe,
+            seed=trial.seed,
+            max_restarts=0,
+            score_iterations=trial.score_iterations,
+            tangent_hidden=trial.hidden,
+            tangent_iterations=trial.tangent_iterations,
+            **VARIANTS[name][1],
+        )
+        result = train(cloud, config, score=None if name in OF_THE_SCORE else shared)
+        field = result.field
+        if name == COMPLETE:
+            assert isinstance(field.score_model, ScoreNetwork)
+            shared = field.score_model
+        field.save(folder / f"{name}.safetensors")
+        run = folder / f"{name}.npz"
+        v, m = field.tangent(samples.points), field(samples.points)
+        rows[name] = {
+            "following": followed_row(field, reference, trial.starts, trial.patience, run),
+            "check": checked_row(field, reference, trial.ratios),
+            "score": measure_score(field, reference, trial.seed),
+            "lengths": lengths_row(field, reference, samples),
+            "drift": drift_row(field, reference, samples),
+            "tangent": direction_row(directions(samples, v, unit)),
+            "whole": direction_row(directions(samples, m, unit)),
+            "passed": result.self_check.passed,
+            "train_cpu_s": result.cpu_s,
+        }
+    return rows
+
+
+def followed_row(
+    field: GuidingField, reference: ReferencePath, starts: int, patience: float, file: Path
+) -> Row:
+    """Follows a field in one diagram; leaves where its agents ended.
+
+    Args:
+        field: The field.
+        reference: The true path, of closed pieces.
+        starts: Number of agents, on a grid over the box.
+        patience: The usual time to run is multiplied by this.
+        file: Where the last positions go, `.npz`.
+
+    Returns:
+        What `quality.measures.following` does; `settle`, the fraction of agents that stayed
+        near the path over the last lap; `followable`: whether every agent completed a lap,
+        and some did on each piece.
+    """
+    unit = field.cloud.unit_length
+    run = follow(field, reference, starts, patience * default_duration(reference, unit))
+    metrics = run.metrics
+    np.savez(file, **{ENDS: run.positions[-1], LAPPED: metrics.lapped})
+    lapped_on = [(metrics.piece == piece).any() for piece in range(len(reference.pieces))]
+    return {
+        **following(run, unit),
+        "settle": float(metrics.settled.mean()),
+        "followable": bool(metrics.lapped.all() and all(lapped_on)),
+    }
+
+
+def checked_row(field: GuidingField, reference: ReferencePath, ratios: Sequence[float]) -> Row:
+    """Passes a field through the sublevel checks; see `lyapunov.verify`.
+
+    Args:
+        field: The field.
+        reference: The true path.
+        ratios: The noise levels of V to try, in those of the field.
+
+    Returns:
+        holds, reason; band: whether V falls on a band of levels about a tube along the path;
+        zeros: number of zeros of m that count against it; slowest: the smallest |m| in the
+        tube, or near the path; falls: part of the box where V falls; cosine: the paper's
+        eps, the mean of |cos(s, v)| over the box; length_error: the mean of | |m| - 1 |
+        there.
+    """
+    found = verify(field, reference, ratios=ratios)
+    return {
+        "holds": found.holds,
+        "reason": found.reason,
+        "band": found.band is not None,
+        "zeros": sum(v.counts and v.kind == "zero" for v in found.violations),
+        "slowest": found.slowest,
+        "falls": found.decrease_fraction,
+        "cosine": found.assumptions.cosine.mean,
+        "length_error": found.assumptions.length.mean,
+    }
+
+
+def fields_table(trials: pd.DataFrame) -> pd.DataFrame:
+    """Returns one row a field from rows of trials, each with a column for each variant.
+
+    Returns:
+        Columns shape, network (as the paper writes it: [2,128,2]), seed, variant, folder,
+        and one a measure: "part.name".
+    """
+    labels = ("shape", "seed", FOLDER)
+    rows = [
+        {
+            **{name: trial[name] for name in labels},
+            "network": None if trial["hidden"] is None else widths(trial["hidden"]),
+            "variant": variant,
+            **trial[variant],
+        }
+        for trial in trials.to_dict("records")
+        for variant in (COMPLETE, *trial["variants"])
+    ]
+    fields = pd.json_normalize(rows)
+    slow, fast = 1 - fields["following.speed_min"], fields["following.speed_max"] - 1
+    return fields.assign(**{SPEED_ERROR: pd.concat([slow, fast], axis=1).max(axis=1)})
+
+
+def widths(hidden: Sequence[int]) -> str:
+    """Returns a planar tangent network as the paper writes it: [2,128,2]."""
+    return f"[{','.join(map(str, (2, *hidden, 2)))}]"
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A measure of the complete recipe, of the one without a part, and the change.
+
+    Intervals are a mean over the seeds with the ends of its 95 % interval.
+
+    Attributes:
+        complete: Interval of the complete recipe.
+        removed: Interval of the one without the part.
+        change: Interval of the differences of the same seed, removed less complete; of the
+            logarithms for a factor.
+        seeds: The values without the part, one a seed.
+        is_factor: Whether the change is told as a factor.
+    """
+
+    complete: tuple[float, float, float]
+    removed: tuple[float, float, float]
+    change: tuple[float, float, float]
+    seeds: tuple[float, ...]
+    is_factor: bool = False
+
+    @property
+    def rises(self) -> bool:
+        """Whether the interval of the change is above zero; never so for a single seed."""
+        return self.change[1] > 0
+
+    @property
+    def falls(self) -> bool:
+        """Whether it is below zero."""
+        return self.change[2] < 0
+
+    def __str__(self) -> str:
+        told = f"{self.complete[0]:.2g} -> {self.removed[0]:.2g}"
+        if np.isnan(self.change[1]):
+            return told
+        if self.is_factor:
+            mean, low, high = np.exp(self.change)
+            return f"{told}, a factor of {mean:.2g} [{low:.2g}, {high:.2g}]"
+        mean, low, high = self.change
+        return f"{told}, change {mean:+.2g} [{low:+.2g}, {high:+.2g}]"
+
+
+def effect_of(
+    table: pd.DataFrame,
+    measure: str,
+    variant: str,
+    *,
+    factor: bool = False,
+    comparisons: int = 1,
+) -> Effect:
+    """Returns the effect of a variant on a measure.
+
+    Seeds at which either value is missing are left out of the change.
+
+    Args:
+        table: One row a variant and seed, columns variant, seed and the measure.
+        measure: The column.
+        variant: The variant that lacks the part.
+        factor: Whether the change is a factor, as for a length that may grow without bounds,
+            of which a few seeds otherwise say little.
+        comparisons: The number of changes that are judged together; see `interval`.
+    """
+    values = table.pivot(index="seed", columns="variant", values=measure).astype(float)
+    with_part, without = values[COMPLETE].to_numpy(), values[variant].to_numpy()
+    change = np.log(without / with_part) if factor else without - with_part
+    return Effect(
+        complete=interval(with_part),
+        removed=interval(without),
+        change=interval(change, comparisons=comparisons),
+        seeds=tuple(without),
+        is_factor=factor,
+    )
+
+
+@dataclass(frozen=True)
+class SeedsTable:
+    """A table of one row a group and variant, with what its seeds say.
+
+    Attributes:
+        name: Name of the exhibit.
+        caption: Caption of the exhibit.
+        means: Columns of means with their interval by their header, each of a measure and
+            the range of its mean.
+        counts: Columns "k of n" by their header, each of a yes-or-no measure.
+        firsts: Columns of the first seed by their header, each of a measure.
+    """
+
+    name: str
+    caption: str
+    means: Mapping[str, tuple[str, Range]]
+    counts: Mapping[str, str] = field(default_factory=dict)
+    firsts: Mapping[str, str] = field(default_factory=dict)
+
+    def of(self, table: pd.DataFrame, group: str) -> Exhibit:
+        """Returns the table of fields, from one row a field."""
+        rows = []
+        for (name, variant), fields in table.groupby([group, "variant"], sort=False):
+            row: dict[str, Any] = {group: name, "variant": VARIANTS[str(variant)][0]}
+            for header, measure in self.counts.items():
+                row[header] = f"{int(fields[measure].sum())} of {len(fields)}"
+            for header, (measure, within) in self.means.items():
+                row.update(interval_columns(header, fields[measure].astype(float), within))
+            for header, measure in self.firsts.items():
+                row[header] = fields[measure].iloc[0]
+            rows.append(row)
+        return Exhibit(self.name, self.caption, pd.DataFrame(rows))
+
+
+@dataclass
+class Ablation(Experiment):
+    """Trains a recipe complete and without each of its parts.
+
+    Attributes:
+        starts: Agents on a grid over the box.
+        ratios: The noise levels of V that the sublevel checks try, in those of the field.
+        score_iterations: Optimisation steps of the score network.
+        tangent_iterations: Optimisation steps of the tangent network.
+        seeds: Seeds of the clouds and the trainings; the first is drawn.
+    """
+
+    starts: int = 100
+    ratios: list[float] = field(default_factory=lambda: list(SIGMA_RATIOS))
+    score_iterations: int = 10_000
+    tangent_iterations: int = 10_000
+    seeds: list[int] = field(default_factory=lambda: [0, 1, 2, 3, 4])
+
+    group: ClassVar[str]
+    """The column that tells trials of the same seed apart, in tables and figures."""
+
+    symbol: ClassVar[Literal["v", "m"]]
+    """What is drawn of the fields."""
+
+    span: ClassVar[Range]
+    """The lengths of it that are told apart by colour."""
+
+    captions: ClassVar[tuple[str, str]]
+    """Those of the figures of fields, where {} is the seed, and of measures."""
+
+    panels: ClassVar[Sequence[MeasurePanel]]
+    seeds_tables: ClassVar[Sequence[SeedsTable]]
+
+    @abstractmethod
+    def trials(self) -> Sequence[AblationTrial]:
+        """Returns the trials, those of the first seed first."""
+
+    def trial(self, **options: Any) -> AblationTrial:
+        """Returns a trial with the options that all kinds have."""
+        return AblationTrial(
+            starts=self.starts,
+            ratios=tuple(self.ratios),
+            score_iterations=self.score_iterations,
+            tangent_iterations=self.tangent_iterations,
+            **options,
+        )
+
+    def measure(self, bench: Workbench) -> Rows:
+        trials = self.trials()
+        return {FIELDS: fields_table(run_trials(bench, measure_ablation, trials, "ablation"))}
+
+    def figures(self, rows: Rows) -> Sequence[Exhibit]:
+        fields, (drawn, measured) = rows[FIELDS], self.captions
+        first = fields[fields["seed"] == self.seeds[0]]
+        names = {name: VARIANTS[name][0] for name in fields["variant"].unique()}
+        variants = variants_figure(first, self.group, names, self.symbol, self.span)
+        measures = measures_figure(fields, self.panels, self.group, names)
+        return [
+            Exhibit("fields", drawn.format(self.seeds[0]), variants),
+            Exhibit("measures", measured, measures),
+        ]
+
+    def tables(self, rows: Rows) -> Sequence[Exhibit]:
+        return [table.of(rows[FIELDS], self.group) for table in self.seeds_tables]
+
+    def logs(self, rows: Rows) -> Mapping[str, pd.DataFrame]:
+        return {FIELDS: rows[FIELDS].drop(columns=FOLDER, errors="ignore")}

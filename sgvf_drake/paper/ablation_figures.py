@@ -1,0 +1,200 @@
+"""The figures of the ablations: fields side by side, and measures with their intervals."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap, LogNorm
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.quiver import Quiver
+import numpy as np
+import pandas as pd
+
+from sgvf_drake import plotting
+from sgvf_drake.arrays import FloatArray
+from sgvf_drake.fields import Field, GuidingField, TangentField, load_field
+from sgvf_drake.paper.along_path import box_grid, directions, sample_path
+from sgvf_drake.paper.experiment import FOLDER
+from sgvf_drake.paper.intervals import POSITIVE, interval
+from sgvf_drake.paths import ReferencePath, shape_path
+
+# In the file of a run: (n, 2) the last positions of its agents, (n,) whether each lapped.
+ENDS, LAPPED = "ends", "followed"
+# Arrows along each side of a field.
+ARROWS = 23
+UNIT = "unit of the waypoints"
+SOURCE, SINK, STOPPED = "^", "v", "o"
+# How far apart groups and seeds are drawn beside a tick, in ticks.
+GROUP_OFFSET, SEED_OFFSET = 0.3, 0.07
+COLORS = (plotting.BLUE, plotting.ORANGE, plotting.GREEN, plotting.RED)
+# Without the palest colours, which do not show on white.
+LENGTHS = ListedColormap(colormaps["YlGnBu"](np.linspace(0.3, 1, 256)))
+DRAWN: Mapping[str, Callable[[GuidingField], Field]] = {
+    "v": TangentField,
+    "m": lambda field: field,
+}
+
+
+def variants_figure(
+    fields: pd.DataFrame,
+    group: str,
+    names: Mapping[str, str],
+    symbol: str,
+    span: tuple[float, float],
+) -> Figure:
+    """Returns fields side by side: a row for each group, a column for each variant.
+
+    Args:
+        fields: One row a field, of one seed: columns shape, variant, folder and the group.
+        group: The column that tells the rows apart.
+        names: What each variant is called.
+        symbol: What is drawn, "v" or "m".
+        span: The lengths that are told apart by colour; shorter and longer ones look like
+            these.
+    """
+    groups, columns = list(fields.groupby(group, sort=False)), len(names)
+    figure, axes = plotting.new_figure(
+        len(groups), columns, 2.7 * columns + 0.8, 2.6 * len(groups) + 0.8
+    )
+    panels = iter(axes)
+    for row, (name, own) in enumerate(groups):
+        label = f"{symbol} by {name!s}" if group == "network" else str(name)
+        for trained, panel in zip(own.to_dict("records"), panels, strict=False):
+            stem, reference = trained[FOLDER] / trained["variant"], shape_path(trained["shape"])
+            arrows = _draw_field(panel, stem, reference, DRAWN[symbol], span)
+            plotting.plane_axes(panel, UNIT, names[trained["variant"]] if row == 0 else "")
+            panel.label_outer()
+        axes[row * columns].set_ylabel(f"{label}\ny [{UNIT}]")
+    figure.colorbar(arrows, ax=axes, label=f"$|{symbol}|$", extend="both", pad=0.01)
+    figure.legend(handles=_marks(symbol), loc="outside lower center", ncols=4, frameon=False)
+    return figure
+
+
+def _draw_field(
+    axes: Axes,
+    stem: Path,
+    reference: ReferencePath,
+    drawn: Callable[[GuidingField], Field],
+    span: tuple[float, float],
+) -> Quiver:
+    """Draws a stored field, and what keeps agents from following it.
+
+    Arrows of one length and waypoints are coloured by the length of what is drawn.
+    """
+    field = load_field(stem.with_suffix(".safetensors"))
+    run = np.load(stem.with_suffix(".npz"))
+    part, cloud = drawn(field), field.cloud
+    x = box_grid(cloud.box, ARROWS)
+    vectors = part(x)
+    length = np.linalg.norm(vectors, axis=1)
+    unit = vectors / np.maximum(length, np.finfo(np.float64).tiny)[:, None]
+    colors: dict[str, Any] = {"cmap": LENGTHS, "norm": LogNorm(*span)}
+    arrows = axes.quiver(
+        *x.T, *unit.T, length, **colors, pivot="mid", scale=1.15 * ARROWS, width=0.006
+    )
+    lengths = np.linalg.norm(part(cloud.points), axis=1)
+    axes.scatter(cloud.points[:, 0], cloud.points[:, 1], s=14, c=lengths, **colors)
+    axes.plot(*run[ENDS][~run[LAPPED]].T, STOPPED, color=plotting.RED, markersize=5)
+    samples = sample_path(reference, cloud.unit_length)
+    for piece in directions(samples, part(samples.points), cloud.unit_length):
+        for points, mark in ((piece.sources, SOURCE), (piece.sinks, SINK)):
+            axes.plot(*points.T, mark, color="white", markeredgecolor="black", markersize=8)
+    return arrows
+
+
+def _marks(symbol: str) -> list[Line2D]:
+    def mark(marker: str, color: str, label: str) -> Line2D:
+        return Line2D(
+            [], [], ls="", marker=marker, color=color, markeredgecolor="black", label=label
+        )
+
+    return [
+        Line2D([], [], ls="", marker="o", ms=4, color=plotting.BLUE, label="waypoint"),
+        mark(SOURCE, "white", f"{symbol} parts on the path (source)"),
+        mark(SINK, "white", f"{symbol} meets on the path (sink)"),
+        Line2D([], [], ls="", marker="o", color=plotting.RED, label="end of a failed agent"),
+    ]
+
+
+@dataclass(frozen=True)
+class MeasurePanel:
+    """A measure to be drawn over the variants.
+
+    Attributes:
+        measure: Its column.
+        label: What it is, with the unit; above the panel.
+        within: The range of its means.
+        log: Whether the axis is logarithmic; the means are then geometric.
+    """
+
+    measure: str
+    label: str
+    within: tuple[float, float] = POSITIVE
+    log: bool = False
+
+    def mean(self, values: FloatArray) -> tuple[float, float, float]:
+        """Returns the mean of the values of the seeds, with its interval."""
+        if self.log:
+            mean, low, high = np.exp(interval(np.log(values)))
+            return float(mean), float(low), float(high)
+        return interval(values, self.within)
+
+
+def measures_figure(
+    table: pd.DataFrame,
+    panels: Sequence[MeasurePanel],
+    group: str,
+    names: Mapping[str, str],
+    columns: int = 3,
+) -> Figure:
+    """Returns measures over the variants: every seed, and means with 95 % intervals.
+
+    Args:
+        table: One row a field, columns variant, the group and the measures.
+        panels: The measures.
+        group: The column that tells the colours apart.
+        names: What each variant is called, in the order of the axis.
+        columns: Panels in a row.
+    """
+    rows = -(-len(panels) // columns)
+    figure, axes = plotting.new_figure(rows, columns, 3.8 * columns, 3.0 * rows + 0.6)
+    groups = list(table.groupby(group, sort=False))
+    for panel, own in zip(panels, axes, strict=False):
+        for number, (name, fields) in enumerate(groups):
+            by_variant = [fields[fields["variant"] == variant] for variant in names]
+            values = [here[panel.measure].to_numpy(dtype=np.float64) for here in by_variant]
+            offset = GROUP_OFFSET * (number - (len(groups) - 1) / 2)
+            color = COLORS[number % len(COLORS)]
+            _draw_measure(own, panel, values, offset, color, str(name))
+        own.set_xticks(range(len(names)), list(names.values()), rotation=20, ha="right")
+        own.set(title=panel.label, yscale="log" if panel.log else "linear")
+        own.grid(axis="y", alpha=0.3)
+    for spare in axes[len(panels) :]:
+        spare.set_axis_off()
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(groups), frameon=False)
+    return figure
+
+
+def _draw_measure(
+    axes: Axes,
+    panel: MeasurePanel,
+    values: Sequence[FloatArray],
+    offset: float,
+    color: str,
+    label: str,
+) -> None:
+    """Draws the seeds' values at each tick faintly, and their means with intervals."""
+    means = np.array([panel.mean(here) for here in values])
+    at = np.arange(len(values)) + offset
+    bars = np.nan_to_num(np.abs(means[:, 1:].T - means[:, 0]))
+    axes.errorbar(
+        at, means[:, 0], bars, fmt="o", color=color, markersize=5, capsize=3, label=label
+    )
+    for tick, here in zip(at, values, strict=True):
+        spread = SEED_OFFSET * np.linspace(-1, 1, len(here)) if len(here) > 1 else [0.0]
+        axes.plot(tick + spread, here, ".", color=color, alpha=0.35, markersize=5)

@@ -1,0 +1,116 @@
+"""What an experiment of the paper is: trials, and what their rows show.
+
+An experiment runs trials, each of which gives a row of plain values and may leave files for
+the figures.  Tables and claims follow from the rows alone, so that the stored rows of a
+reproduction are enough to draw the tables and judge the claims again.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from matplotlib.figure import Figure
+import pandas as pd
+
+from sgvf_drake.experiments.workbench import Measure, Workbench
+from sgvf_drake.paper.claims import Claim, Finding, Rows, judge
+
+FOLDER = "folder"
+"""The column of the files that a trial left; stored rows are without it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Exhibit:
+    """A figure or a table.
+
+    Attributes:
+        name: The stem of its file.
+        caption: What is seen and what it means, in one or two sentences.
+        content: A figure becomes a picture, a table a CSV file.  Where a table has three
+            columns "X mean", "X low", "X high", they are shown as one.
+    """
+
+    name: str
+    caption: str
+    content: Figure | pd.DataFrame
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What an experiment found.
+
+    Attributes:
+        exhibits: In the order in which they are read.
+        claims: One for each thing the paper says that was put to the test.
+        figures: Further numbers by name, for `summary.json`.
+        logs: Long tables by name, that are stored as Parquet and not shown.
+        rows: What tables and claims follow from.
+    """
+
+    exhibits: Sequence[Exhibit]
+    claims: Sequence[Finding] = ()
+    figures: Mapping[str, Any] = field(default_factory=dict)
+    logs: Mapping[str, pd.DataFrame] = field(default_factory=dict)
+    rows: Rows = field(default_factory=dict)
+
+
+class Experiment(ABC):
+    """A kind of experiment: its fields are the options that a scenario file may set."""
+
+    seeds: list[int]
+
+    @abstractmethod
+    def measure(self, bench: Workbench) -> Rows:
+        """Runs the trials; returns a table for each kind of them, made by `run_trials`."""
+
+    @abstractmethod
+    def claims(self) -> Sequence[Claim]:
+        """Returns the claims that are put to the test, in the order of the paper."""
+
+    @abstractmethod
+    def tables(self, rows: Rows) -> Sequence[Exhibit]:
+        """Returns the tables, from the rows alone."""
+
+    @abstractmethod
+    def figures(self, rows: Rows) -> Sequence[Exhibit]:
+        """Returns the figures, from the rows and the files that the trials left."""
+
+    def logs(self, rows: Rows) -> Mapping[str, pd.DataFrame]:
+        """Returns long tables that are stored and not shown."""
+        return {}
+
+    def findings(self, rows: Rows) -> list[Finding]:
+        """Judges the claims by the rows."""
+        return [judge(claim, rows) for claim in self.claims()]
+
+    def run(self, bench: Workbench) -> Outcome:
+        """Runs the trials on a bench and says what they show."""
+        rows = self.measure(bench)
+        return Outcome(
+            exhibits=[*self.figures(rows), *self.tables(rows)],
+            claims=self.findings(rows),
+            logs=self.logs(rows),
+            rows={name: table.drop(columns=FOLDER) for name, table in rows.items()},
+        )
+
+
+def run_trials(
+    bench: Workbench,
+    measure: Measure,
+    trials: Sequence[Any],
+    stage: str,
+) -> pd.DataFrame:
+    """Runs trials; returns one row each: what the trial is, what it found, its folder.
+
+    Args:
+        bench: Runs them, or has their rows from before.
+        measure: What measures one.
+        trials: Frozen dataclasses.
+        stage: What they are called where progress is shown.
+    """
+    records = bench.run(measure, trials, stage)
+    return pd.DataFrame(
+        {**asdict(trial), **record.row, FOLDER: record.folder}
+        for trial, record in zip(trials, records, strict=True)
+    )

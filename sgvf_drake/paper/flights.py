@@ -1,0 +1,419 @@
+"""Fig. 3: the quadrotor flies both scenarios from branch to branch."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from sgvf_drake.exceptions import ConfigurationError, SgvfError
+from sgvf_drake.experiments.feasibility import Feasibility
+from sgvf_drake.experiments.figures.tour import tour_figure
+from sgvf_drake.experiments.flight_log import FORCE_COLUMNS
+from sgvf_drake.experiments.fly import TAKE_OFF_S
+from sgvf_drake.experiments.tour import TourResult, fly_tour
+from sgvf_drake.experiments.workbench import Row, Workbench
+from sgvf_drake.fields import load_field
+from sgvf_drake.metrics import REACH_DISTANCE
+from sgvf_drake.paper.claims import Claim, Count, Figures, Rows, Span, every
+from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
+from sgvf_drake.paper.intervals import interval_columns
+from sgvf_drake.paths import make_shape, shape_path
+from systems import FieldForSpeed, QuadrotorParameters, SensorParameters
+
+FIELD, LOG = "field.safetensors", "flight.parquet"
+MM = 1e3
+# The speed stays below this many times the commanded one.  How slow the field is belongs to
+# another claim.
+FASTEST = 1.5
+# Within one sample of 10 ms the velocity changes by at most this part of the commanded speed,
+# and a force by this part of its limit; more is a jump.
+LARGEST_STEP = 0.05
+# Columns of what says whether a flight was smooth.
+MOTION = (
+    *("speed_min_m_s", "speed_max_m_s", "velocity_step_m_s"),
+    *("force_min_n", "force_max_n", "force_step_n", "limit_n"),
+)
+PARTS_CAPTION = (
+    "Parts of the flights, over the seeds; the first piece with the way in from beside the "
+    "path, from the first reach on. Least and top of all seeds for speed and force; the force "
+    "in per cent of what a propeller can give."
+)
+FLIGHTS_CAPTION = (
+    "Every flight, after the take-off: what became of it (one that was more than 0.1 U off its "
+    "pieces, RMS, has strayed), the worst cross-track RMS of them, and how smooth it was. The "
+    "jerk is horizontal; a step is a change within 10 ms."
+)
+
+
+@dataclass(frozen=True)
+class FlightTrial:
+    """A tour of the pieces of a shape.
+
+    Attributes:
+        shape: One of `SHAPES`, in metres.
+        recipe: Recipe of the training.
+        seed: Seed of the cloud, the training and the noise of the measurements.
+        tour: Numbers of the pieces, in the order of the flight.
+        speed: Commanded speed, m/s.
+        laps: Laps of each piece.
+    """
+
+    shape: str
+    recipe: str
+    seed: int
+    tour: tuple[int, ...]
+    speed: float
+    laps: float
+
+
+def measure_flight(trial: FlightTrial, folder: Path) -> Row:
+    """Trains a field and flies it by noisy measurements; leaves the field and the log.
+
+    A flight that loses control is a result as well: its row has the text of the error.
+
+    Returns:
+        error; completed, summary, feasibility and real_time_factor: as of the tour; and what
+        `flown_row` does.
+    """
+    # Imported here: what was flown before is shown without torch.
+    from sgvf_drake.learning import TrainingConfig, train
+
+    cloud, path = make_shape(trial.shape, seed=trial.seed)
+    settings: dict[str, Any] = {"recipe": trial.recipe, "seed": trial.seed}
+    field = train(cloud, TrainingConfig(**settings)).field
+    field.save(folder / FIELD)
+    try:
+        result = fly_tour(
+            field,
+            path,
+            trial.tour,
+            trial.speed,
+            trial.laps,
+            sensors=SensorParameters(),
+            seed=trial.seed,
+        )
+    except SgvfError as error:
+        return {"error": str(error), "completed": False, "summary": None}
+    log, summary = result.log.astype(np.float32), result.summary()
+    log.to_parquet(folder / LOG, index=False)
+    return {
+        "error": None,
+        "completed": result.completed,
+        "summary": summary,
+        "feasibility": asdict(result.feasibility),
+        "real_time_factor": result.real_time_factor,
+        **flown_row(summary["legs"], log, cloud.unit_length),
+    }
+
+
+def flown_row(legs: Sequence[Mapping[str, Any]], log: pd.DataFrame, unit_length: float) -> Row:
+    """Returns the figures of a flight that kept control.
+
+    Args:
+        legs: The legs of the tour.
+        log: The log of the tour.
+        unit_length: U of the cloud, m.
+
+    Returns:
+        rms_m, max_m: root mean square and largest cross-track error on the worst piece;
+        tolerance_m: the error up to which a piece counts as followed; limit_n: the largest
+        force of a propeller; and what `motion_of` does.
+    """
+    return {
+        "rms_m": max((leg["cross_track_rms_m"] for leg in legs), default=None),
+        "max_m": max((leg["cross_track_max_m"] for leg in legs), default=None),
+        "tolerance_m": REACH_DISTANCE * unit_length,
+        "limit_n": QuadrotorParameters().max_propeller_force,
+        **motion_of(log),
+    }
+
+
+def motion_of(log: pd.DataFrame) -> dict[str, float]:
+    """Returns the motion and the motor inputs of a flight after its take-off.
+
+    Args:
+        log: The log of `fly` or `fly_tour`.
+
+    Returns:
+        Least and top speed; acceleration_max_m_s2: the largest acceleration, from one
+        sample to the next; jerk_rms_m_s3: the root mean square of its rate of change, in the
+        horizontal plane; velocity_step_m_s: the largest change of the velocity in one sample
+        (10 ms); least and largest force of a propeller; force_step_n: the largest change of
+        it in one sample.
+    """
+    flown = log[log["time"] > TAKE_OFF_S]
+    times = flown["time"].to_numpy(dtype=np.float64)
+    velocity = flown[["vx", "vy", "vz"]].to_numpy(dtype=np.float64)
+    forces = flown[list(FORCE_COLUMNS)].to_numpy(dtype=np.float64)
+    period = (times[-1] - times[0]) / (len(times) - 1)
+    steps = np.linalg.norm(np.diff(velocity, axis=0), axis=1)
+    jerk = np.diff(velocity[:, :2], 2, axis=0) / period**2
+    speed = np.linalg.norm(velocity, axis=1)
+    return {
+        "speed_min_m_s": float(speed.min()),
+        "speed_max_m_s": float(speed.max()),
+        "acceleration_max_m_s2": float(steps.max() / period),
+        "jerk_rms_m_s3": float(np.sqrt((jerk**2).sum(axis=1).mean())),
+        "velocity_step_m_s": float(steps.max()),
+        "force_min_n": float(forces.min()),
+        "force_max_n": float(forces.max()),
+        "force_step_n": float(np.abs(np.diff(forces, axis=0)).max()),
+    }
+
+
+@dataclass
+class Flights(Experiment):
+    """Flies tours of the pieces of shapes, by noisy and late measurements.
+
+    Attributes:
+        shapes: Names of `SHAPES`, in metres.
+        tours: For each shape, the pieces from 1 on in the order of the flight, as in "1,2,1".
+        speed: Commanded speed, m/s.
+        laps: Laps of each piece.
+        seeds: Seeds of the clouds, the trainings by the robust recipe and the noise.
+        paper_seeds: The same of those by the paper's recipe.
+    """
+
+    shapes: list[str] = field(default_factory=lambda: ["concentric-flight", "separated-flight"])
+    tours: list[str] = field(default_factory=lambda: ["1,2,1", "1,2"])
+    speed: float = 0.45
+    laps: float = 1.0
+    seeds: list[int] = field(default_factory=lambda: [0, 1, 2])
+    paper_seeds: list[int] = field(default_factory=lambda: [0, 1])
+
+    def measure(self, bench: Workbench) -> Rows:
+        """Runs the trials.
+
+        Raises:
+            ConfigurationError: If a tour is none of its shape, or there are more or fewer
+                tours than shapes.
+        """
+        if len(self.tours) != len(self.shapes):
+            raise ConfigurationError(
+                f"there are {len(self.shapes)} shapes to fly, but {len(self.tours)} tours"
+            )
+        tours = [
+            _pieces(tour, len(shape_path(shape).pieces))
+            for shape, tour in zip(self.shapes, self.tours, strict=True)
+        ]
+        trials = [
+            FlightTrial(shape, recipe, seed, tour, self.speed, self.laps)
+            for recipe, seeds in self._recipes().items()
+            for shape, tour in zip(self.shapes, tours, strict=True)
+            for seed in seeds
+        ]
+        return {"flights": run_trials(bench, measure_flight, trials, "flights")}
+
+    def _recipes(self) -> Mapping[str, Sequence[int]]:
+        """Returns the seeds of each recipe that is flown."""
+        recipes = {"robust": self.seeds, "paper": self.paper_seeds}
+        return {recipe: seeds for recipe, seeds in recipes.items() if seeds}
+
+    def claims(self) -> Sequence[Claim]:
+        return [
+            Claim(
+                f"flights-{key}-{recipe}",
+                "Section V-B, Fig. 3",
+                f"{statement} (recipe {recipe}).",
+                partial(measure, recipe=recipe),
+                every(counted),
+                of_paper=recipe == "paper",
+            )
+            for recipe in self._recipes()
+            for key, statement, measure, counted in CLAIMS
+        ]
+
+    def figures(self, rows: Rows) -> Sequence[Exhibit]:
+        """Draws the first flight of each shape and recipe that has one."""
+        flown = rows["flights"][rows["flights"]["error"].isna()]
+        firsts = flown.groupby(["recipe", "shape"], sort=False).head(1)
+        return [_flight_figure(flight) for flight in firsts.to_dict("records")]
+
+    def tables(self, rows: Rows) -> Sequence[Exhibit]:
+        return [
+            Exhibit("flights_parts", PARTS_CAPTION, parts_table(rows["flights"])),
+            Exhibit("flights_all", FLIGHTS_CAPTION, flights_table(rows["flights"])),
+        ]
+
+
+def _pieces(tour: str, count: int) -> tuple[int, ...]:
+    """Reads a tour of a path of so many pieces, numbered from 1; returns them from 0 on."""
+    try:
+        pieces = tuple(int(piece) - 1 for piece in tour.split(","))
+    except ValueError:
+        pieces = (-1,)
+    if not all(0 <= piece < count for piece in pieces):
+        raise ConfigurationError(
+            f"a tour is a list of pieces from 1 to {count} as in '1,2,1', not {tour!r}"
+        )
+    return pieces
+
+
+def _flight_figure(flight: Mapping[Any, Any]) -> Exhibit:
+    shape, recipe, seed, speed = (flight[key] for key in ("shape", "recipe", "seed", "speed"))
+    cloud, _ = make_shape(shape, seed=seed)
+    folder = flight[FOLDER]
+    result = TourResult(
+        log=pd.read_parquet(folder / LOG),
+        legs=flight["summary"]["legs"],
+        transfers=flight["summary"]["transfers"],
+        completed=flight["completed"],
+        feasibility=Feasibility(**flight["feasibility"]),
+        parameters=QuadrotorParameters(),
+        real_time_factor=flight["real_time_factor"],
+    )
+    pieces = ", ".join(str(piece + 1) for piece in flight["tour"])
+    return Exhibit(
+        f"flight_{shape}_{recipe}",
+        f"{shape}, recipe {recipe}, seed {seed}: trajectory, cross-track error, velocity and "
+        f"propeller forces of one flight along the pieces {pieces} at {speed:g} m/s by noisy "
+        f"and late measurements; it is {'' if result.completed else 'not '}completed.",
+        tour_figure(FieldForSpeed(load_field(folder / FIELD), speed), cloud, result),
+    )
+
+
+def parts_table(flights: pd.DataFrame) -> pd.DataFrame:
+    """Returns one row a shape, recipe and part of the flight, over the flights that have it."""
+    parts = pd.DataFrame(
+        {"shape": flight["shape"], "recipe": flight["recipe"], **part}
+        for flight in flights[flights["error"].isna()].to_dict("records")
+        for part in _parts(flight["summary"])
+    )
+    if parts.empty:
+        return parts
+    limit = QuadrotorParameters().max_propeller_force
+    return pd.DataFrame(
+        {
+            "shape": shape,
+            "recipe": recipe,
+            "part": name,
+            "flights": len(own),
+            **interval_columns("RMS, mm", MM * own["cross_track_rms_m"]),
+            **interval_columns("largest, mm", MM * own["cross_track_max_m"]),
+            **interval_columns("time, s", own["end_s"] - own["begin_s"]),
+            "speed, m/s": f"{own['speed_min_m_s'].min():.2f}-{own['speed_max_m_s'].max():.2f}",
+            "force, %": _percent(
+                own["motor_force_min_n"].min(), own["motor_force_max_n"].max(), limit
+            ),
+        }
+        for (shape, recipe, name), own in parts.groupby(["shape", "recipe", "part"], sort=False)
+    )
+
+
+def _parts(summary: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Returns the legs and transfers of a flight in their order, with a name each.
+
+    A transfer follows no piece, so it has no cross-track error.
+    """
+    parts = [{"kind": "piece", **leg} for leg in summary["legs"]]
+    parts += [{"kind": "transfer to", **one} for one in summary["transfers"]]
+    parts.sort(key=lambda part: part["begin_s"])
+    seen: list[str] = []
+    for part in parts:
+        name = f"{part['kind']} {part['piece'] + 1}"
+        part["part"] = name + (" again" if name in seen else "")
+        seen.append(name)
+    return parts
+
+
+def flights_table(flights: pd.DataFrame) -> pd.DataFrame:
+    """Returns one row a flight."""
+    rows = []
+    for flight in flights.to_dict("records"):
+        lost = not pd.isna(flight["error"])
+        row = {name: flight[name] for name in ("shape", "recipe", "seed")}
+        row |= {
+            "outcome": outcome(flight),
+            "RMS, mm": np.nan if lost else MM * flight["rms_m"],
+        }
+        if not lost:
+            limit = flight["limit_n"]
+            row |= {
+                "speed, m/s": f"{flight['speed_min_m_s']:.2f}-{flight['speed_max_m_s']:.2f}",
+                "largest acceleration, m/s^2": flight["acceleration_max_m_s2"],
+                "jerk (RMS), m/s^3": flight["jerk_rms_m_s3"],
+                "force, %": _percent(flight["force_min_n"], flight["force_max_n"], limit),
+                "force step, %": 100 * flight["force_step_n"] / limit,
+            }
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def _percent(low: float, high: float, limit: float) -> str:
+    return f"{100 * low / limit:.1f}-{100 * high / limit:.1f}"
+
+
+def outcome(flight: Mapping[Any, Any]) -> str:
+    """Says what became of a flight."""
+    if not pd.isna(flight["error"]):
+        return "lost control"
+    if not flight["completed"]:
+        return f"{len(flight['summary']['legs'])} of {len(flight['tour'])} pieces"
+    return "completed" if flight["rms_m"] <= flight["tolerance_m"] else "strayed"
+
+
+FOLLOWED, SMOOTH = "flights that followed all of their pieces", "smooth flights"
+
+
+def _measure_branches(rows: Rows, recipe: str) -> Figures:
+    """Counts the flights along all pieces; tells how near they were, and of the others."""
+    flights = _of_recipe(rows, recipe)
+    outcomes = [outcome(flight) for flight in flights.to_dict("records")]
+    follows = np.array(outcomes) == "completed"
+    found: dict[str, Any] = {FOLLOWED: Count.of(follows)}
+    if follows.any():
+        own = flights[follows]
+        found["their largest cross-track RMS, mm"] = float(MM * own["rms_m"].max())
+        found["their largest error, mm"] = float(MM * own["max_m"].max())
+    others = [
+        f"{shape} seed {seed}, {what}"
+        for shape, seed, what in zip(flights["shape"], flights["seed"], outcomes, strict=True)
+        if what != "completed"
+    ]
+    return found | ({"the others": ", ".join(others)} if others else {})
+
+
+def _measure_smooth(rows: Rows, recipe: str) -> Figures:
+    """Counts the flights whose velocity and forces stay within bounds, without jumps."""
+    flights = _of_recipe(rows, recipe)
+    # All is NaN of a flight that lost control, which compares with nothing.
+    figures = flights.reindex(columns=MOTION).astype(float)
+    by_speed = figures.div(flights["speed"], axis=0)
+    by_limit = figures.div(figures["limit_n"], axis=0)
+    smooth = (
+        (by_speed["speed_max_m_s"] <= FASTEST)
+        & (by_limit["force_min_n"] > 0)
+        & (by_limit["force_max_n"] < 1)
+        & (by_speed["velocity_step_m_s"] <= LARGEST_STEP)
+        & (by_limit["force_step_n"] <= LARGEST_STEP)
+    )
+    found: dict[str, Any] = {SMOOTH: Count.of(smooth)}
+    if figures["limit_n"].notna().any():
+        speed = by_speed["speed_min_m_s"].min(), by_speed["speed_max_m_s"].max()
+        force = by_limit["force_min_n"].min(), by_limit["force_max_n"].max()
+        found["speed of the commanded one"] = Span(*speed, percent=True)
+        found["propeller forces of their limit"] = Span(*force, percent=True)
+        found["velocity step in 10 ms, %"] = float(100 * by_speed["velocity_step_m_s"].max())
+        found["force step in 10 ms, %"] = float(100 * by_limit["force_step_n"].max())
+    return found
+
+
+def _of_recipe(rows: Rows, recipe: str) -> pd.DataFrame:
+    flights = rows["flights"]
+    return flights[flights["recipe"] == recipe]
+
+
+CLAIMS = (
+    (
+        "branches",
+        "One field lets a quadrotor follow several branches in turn",
+        _measure_branches,
+        FOLLOWED,
+    ),
+    ("smooth", "Velocity and motor inputs remain smooth and bounded", _measure_smooth, SMOOTH),
+)
+"""Key, statement, measure and the figure that has to be all, for each recipe."""

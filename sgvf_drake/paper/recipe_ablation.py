@@ -1,0 +1,222 @@
+"""The robust recipe, and whether each of its parts is worth its place; as the paper's Fig. 4.
+
+Taking a part out makes a measure worse on a shape where the whole interval of the paired
+differences over the seeds is on the worse side, and their mean is at least so large that it
+matters.  The intervals of all measures on all shapes hold together in 95 %.  A part is worth
+its place where something that agents do, or the sublevel checks, gets worse on at least one
+shape; in part where only the accuracy of score and tangent does; not where nothing does.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import partial
+
+import pandas as pd
+
+from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.paper.ablation import (
+    FIELDS,
+    FOLLOWED,
+    NO_FEATURES,
+    NO_HINT,
+    NO_PROJECTION,
+    NOISY_TARGET,
+    SPEED_ERROR,
+    Ablation,
+    AblationTrial,
+    SeedsTable,
+    effect_of,
+)
+from sgvf_drake.paper.ablation_figures import MeasurePanel
+from sgvf_drake.paper.claims import Claim, Figures, Rows, Verdict
+from sgvf_drake.paper.intervals import POSITIVE, SHARE
+
+COSINE = (-1.0, 1.0)
+PANELS = (
+    MeasurePanel("following.lap", "share of starts that lap", SHARE),
+    MeasurePanel("following.rms_u", "RMS error [U]", log=True),
+    MeasurePanel("following.max_u", "largest error [U]", log=True),
+    MeasurePanel(SPEED_ERROR, "largest $| |m| - 1 |$ on the path", log=True),
+    MeasurePanel("score.score_cosine", "cosine of the score with the exact one", COSINE),
+    MeasurePanel("score.orthogonality", "mean $|\\cos(S, v)|$ near the path", SHARE),
+)
+TABLES = (
+    SeedsTable(
+        "following",
+        "How the fields are followed from a grid of starts, without restarts; means with 95 % "
+        "intervals over the seeds.",
+        means={
+            **FOLLOWED,
+            "max, U": ("following.max_u", POSITIVE),
+            "| |m| - 1 | on the path, max": (SPEED_ERROR, POSITIVE),
+        },
+        counts={"followable seeds": "following.followable"},
+    ),
+    SeedsTable(
+        "inside",
+        "The same fields from within: the learned score against the exact one near the path, "
+        "orthogonality, and the sampled Lyapunov checks.",
+        means={
+            "cos of the score": ("score.score_cosine", COSINE),
+            "its 5th percentile": ("score.score_cosine_p5", COSINE),
+            "its bias, U": ("score.score_bias_u", POSITIVE),
+            "|cos(S, v)|": ("score.orthogonality", SHARE),
+            "smallest |m| in the tube": ("check.slowest", POSITIVE),
+            "V falls, part of the box": ("check.falls", SHARE),
+        },
+        counts={"checks hold": "check.holds", "self-check passes": "passed"},
+    ),
+)
+STATEMENTS = {
+    NOISY_TARGET: "The exact score of the waypoints as the target, in place of Algorithm 1's "
+    "noisy one, is worth its place.",
+    NO_FEATURES: "Random Fourier features are worth their place.",
+    NO_HINT: "The orientation hint is worth its place.",
+    NO_PROJECTION: "Taking the score's part along the tangent out, near the path, is worth "
+    "its place.",
+}
+"""What is claimed of each part, by the variant that lacks it."""
+
+
+@dataclass
+class RecipeAblation(Ablation):
+    """Trains the robust recipe complete and without each of its parts.
+
+    Attributes:
+        shapes: Named shapes of closed pieces.
+        variants: The variants beside the complete recipe, each of which lacks a part.
+    """
+
+    score_iterations: int = 1_500
+    tangent_iterations: int = 1_000
+    shapes: list[str] = field(default_factory=lambda: ["concentric-circles", "star"])
+    variants: list[str] = field(default_factory=lambda: list(STATEMENTS))
+
+    group = "shape"
+    symbol = "m"
+    span = (0.2, 2.0)
+    captions = (
+        "The guiding field m complete and without each part, seed {}: arrows of one length, "
+        "the colour, also of the waypoints, is |m|. Triangles mark where m turns around on "
+        "the path, red dots where agents ended that completed no lap.",
+        "Every seed, and means with 95 % intervals: what the removal of a part changes beyond "
+        "the scatter of the seeds. On logarithmic axes the means are geometric.",
+    )
+    panels = PANELS
+    seeds_tables = TABLES
+
+    def trials(self) -> Sequence[AblationTrial]:
+        """Returns the trials.
+
+        Raises:
+            ConfigurationError: If there is no such variant.
+        """
+        for variant in self.variants:
+            if variant not in STATEMENTS:
+                raise ConfigurationError(
+                    f"there is no variant {variant!r} to compare (they are "
+                    f"{', '.join(STATEMENTS)})"
+                )
+        return [
+            self.trial(
+                recipe="robust",
+                shape=shape,
+                seed=seed,
+                hidden=None,
+                variants=tuple(self.variants),
+                patience=1.0,
+            )
+            for seed in self.seeds
+            for shape in self.shapes
+        ]
+
+    def claims(self) -> Sequence[Claim]:
+        return [
+            Claim(
+                f"robust-{variant}",
+                "robust recipe",
+                statement,
+                partial(_measure_changes, variant=variant),
+                _is_worth_it,
+                of_paper=False,
+            )
+            for variant, statement in STATEMENTS.items()
+            if variant in self.variants
+        ]
+
+
+@dataclass(frozen=True)
+class Measure:
+    """Something that may get worse.
+
+    Attributes:
+        column: Its column.
+        name: What it is, in words.
+        worse: 1 where more is worse, -1 where less is.
+        least: The smallest change that matters.
+        counts: Whether it is something that agents do or the checks find.
+    """
+
+    column: str
+    name: str
+    worse: int
+    least: float
+    counts: bool = True
+
+
+# The smallest changes that matter: one start in a hundred; a tenth of the noise level, which
+# is 0.1 U; the tolerance of the speed on the path; one seed in five; and a tenth of the angles
+# that are usual.
+MEASURES = (
+    Measure("following.lap", "share of starts that lap", -1, 0.01),
+    Measure("following.rms_u", "RMS error, U", 1, 0.01),
+    Measure("following.max_u", "largest error, U", 1, 0.01),
+    Measure(SPEED_ERROR, "largest | |m| - 1 | on the path", 1, 0.02),
+    Measure("check.holds", "share of seeds whose checks hold", -1, 0.2),
+    Measure("score.score_cosine", "cosine of the score", -1, 0.005, counts=False),
+    Measure("score.orthogonality", "|cos(S, v)| near the path", 1, 0.02, counts=False),
+)
+
+
+def changes_of(fields: pd.DataFrame, variant: str) -> list[tuple[Measure, bool, str]]:
+    """Returns what changes measurably without a part, in the order of `MEASURES`.
+
+    Returns:
+        The measure, whether it gets worse, and the change in words: one for each measure and
+        shape.
+    """
+    found = []
+    comparisons = len(MEASURES) * fields["shape"].nunique()
+    for measure in MEASURES:
+        for shape, own in fields.groupby("shape", sort=False):
+            effect = effect_of(own, measure.column, variant, comparisons=comparisons)
+            matters = abs(effect.change[0]) >= measure.least
+            if matters and (effect.rises or effect.falls):
+                is_worse = effect.rises == (measure.worse > 0)
+                found.append((measure, is_worse, f"{measure.name} on {shape} {effect}"))
+    return found
+
+
+WORSE, BETTER, NOTHING = "worse without it", "better without it", "nothing measurable"
+GAIN, LOSS = "worse of agents and checks", "better of agents and checks"
+
+
+def _measure_changes(rows: Rows, variant: str) -> Figures:
+    """Tells what gets worse and what gets better without a part, and how much of it counts."""
+    changes = changes_of(rows[FIELDS], variant)
+    worse, better = (
+        [(measure, told) for measure, is_worse, told in changes if is_worse == side]
+        for side in (True, False)
+    )
+    return {
+        WORSE: ", ".join(told for _, told in worse) or NOTHING,
+        BETTER: ", ".join(told for _, told in better) or NOTHING,
+        GAIN: sum(measure.counts for measure, _ in worse),
+        LOSS: sum(measure.counts for measure, _ in better),
+    }
+
+
+def _is_worth_it(figures: Figures) -> Verdict:
+    return Verdict.when(
+        bool(figures[GAIN]) and not figures[LOSS], partly=figures[WORSE] != NOTHING
+    )

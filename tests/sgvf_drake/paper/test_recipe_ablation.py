@@ -1,0 +1,152 @@
+"""The robust recipe's ablation: claims both ways on planted rows, and a small run."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import stats
+
+from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.experiments.workbench import Workbench
+from sgvf_drake.fields import load_field
+from sgvf_drake.paper import ablation
+from sgvf_drake.paper.ablation import (
+    COMPLETE,
+    FIELDS,
+    NO_FEATURES,
+    NO_HINT,
+    NO_PROJECTION,
+    NOISY_TARGET,
+    SPEED_ERROR,
+    VARIANTS,
+)
+from sgvf_drake.paper.claims import Verdict
+from sgvf_drake.paper.experiment import FOLDER
+from sgvf_drake.paper.recipe_ablation import MEASURES, RecipeAblation, changes_of
+
+SHAPES = ("concentric-circles", "star")
+OF_RECIPE = (COMPLETE, NOISY_TARGET, NO_FEATURES, NO_HINT, NO_PROJECTION)
+GOOD = {
+    "following.lap": 1.0,
+    "following.rms_u": 0.01,
+    "following.max_u": 0.03,
+    SPEED_ERROR: 0.01,
+    "check.holds": True,
+    "score.score_cosine": 0.99,
+    "score.orthogonality": 0.1,
+}
+
+
+def planted(changes):
+    """One row a field: a good recipe, and what a variant changes on a shape."""
+    rng = np.random.default_rng(0)
+    rows = []
+    for shape in SHAPES:
+        for seed in range(5):
+            for variant in OF_RECIPE:
+                values = {**GOOD, **changes.get((shape, variant), {})}
+                values["following.rms_u"] += 1e-3 * rng.random()
+                rows.append({"shape": shape, "seed": seed, "variant": variant, **values})
+    return pd.DataFrame(rows)
+
+
+def findings(table):
+    found = RecipeAblation().findings({FIELDS: table})
+    return {finding.key.removeprefix("robust-"): finding for finding in found}
+
+
+def test_a_part_is_worth_what_agents_and_checks_lose_without_it_on_any_shape():
+    table = planted(
+        {
+            ("star", NO_HINT): {"following.lap": 0.0, "following.rms_u": np.nan},
+            ("star", NO_PROJECTION): {SPEED_ERROR: 0.8},
+            ("concentric-circles", NOISY_TARGET): {"score.score_cosine": 0.9},
+            # Better without it, which does not speak for the part.
+            ("star", NO_FEATURES): {"score.score_cosine": 1.0},
+        }
+    )
+    found = findings(table)
+    assert {variant: finding.verdict for variant, finding in found.items()} == {
+        NO_HINT: Verdict.HOLDS,
+        NO_PROJECTION: Verdict.HOLDS,
+        NOISY_TARGET: Verdict.PARTLY,
+        NO_FEATURES: Verdict.FAILS,
+    }
+    hint, features = found[NO_HINT].evidence, found[NO_FEATURES].evidence
+    assert hint.startswith("worse without it: share of starts that lap on star 1 -> 0")
+    assert "better without it: cosine of the score on star 0.99 -> 1" in features
+
+
+def test_what_gets_both_better_and_worse_is_worth_its_place_in_part():
+    both = {"following.lap": 0.5, SPEED_ERROR: -0.5}
+    table = planted({("star", NO_HINT): both})
+    assert findings(table)[NO_HINT].verdict == Verdict.PARTLY
+
+
+def test_a_part_that_changes_nothing_sure_and_large_is_not_worth_its_place():
+    # The one is sure but small, the other large in one seed of five.
+    table = planted({("star", NOISY_TARGET): {"following.max_u": 0.035}})
+    one = (table["shape"] == "star") & (table["variant"] == NO_HINT) & (table["seed"] == 3)
+    table.loc[one, "following.lap"] = 0.0
+    found = findings(table)
+    assert len(found) == 4
+    assert {finding.verdict for finding in found.values()} == {Verdict.FAILS}
+    assert {finding.evidence for finding in found.values()} == {
+        "worse without it: nothing measurable; better without it: nothing measurable; "
+        "worse of agents and checks: 0; better of agents and checks: 0."
+    }
+
+
+def test_the_scatter_of_seeds_seldom_speaks_for_a_part():
+    repeats, chance = 30, 0.05
+    table = planted({})
+    found = 0
+    for seed in range(repeats):
+        rng = np.random.default_rng(seed)
+        # Every change in the mean is larger than what would matter.
+        scattered = {each.column: rng.normal(size=len(table)) for each in MEASURES}
+        found += len(changes_of(table.assign(**scattered), NO_HINT)) > 0
+    assert found <= stats.binom.isf(1e-3, repeats, chance)
+
+
+def test_a_small_run_shares_the_score_where_it_may(tmp_path, monkeypatch, check_stored_rows):
+    check = {"holds": True, "reason": "", "slowest": 1.0, "falls": 0.9}
+    monkeypatch.setattr(ablation, "checked_row", lambda *_: dict(check))
+    variants = [NOISY_TARGET, NO_FEATURES, NO_PROJECTION]
+    kind = RecipeAblation(
+        shapes=["circle"],
+        starts=4,
+        variants=variants,
+        score_iterations=20,
+        tangent_iterations=20,
+        seeds=[0],
+    )
+    outcome = kind.run(Workbench(tmp_path))
+    assert [exhibit.name for exhibit in outcome.exhibits] == [
+        *("fields", "measures", "following", "inside")
+    ]
+    drawn, measures, following, inside = (each.content for each in outcome.exhibits)
+    assert len(drawn.axes) == 5
+    assert len(measures.axes) == 6
+    assert inside["variant"].tolist() == [VARIANTS[name][0] for name in (COMPLETE, *variants)]
+    assert {"max, U mean", "| |m| - 1 | on the path, max mean"} <= set(following)
+    assert [claim.key for claim in outcome.claims] == [f"robust-{name}" for name in variants]
+    assert FOLDER not in outcome.logs["fields"]
+    assert FOLDER not in outcome.rows[FIELDS]
+    check_stored_rows(kind, {FIELDS: outcome.rows[FIELDS].assign(**{FOLDER: ""})})
+
+    (folder,) = tmp_path.glob("measure_*")
+    fields = {name: load_field(folder / f"{name}.safetensors") for name in (COMPLETE, *variants)}
+    complete, without = fields[COMPLETE], fields[NO_PROJECTION]
+    x = complete.cloud.points
+    same = {name: np.array_equal(fields[name].score(x), complete.score(x)) for name in variants}
+    assert same == {NOISY_TARGET: False, NO_FEATURES: False, NO_PROJECTION: True}
+    # Without the projection nothing else differs, and m does.
+    np.testing.assert_array_equal(without.tangent(x), complete.tangent(x))
+    assert np.abs(without(x) - complete(x)).max() > 1e-3
+
+
+@pytest.mark.parametrize("variant", ["no-hope", COMPLETE])
+def test_a_variant_that_is_none_is_an_error_before_anything_runs(tmp_path, variant):
+    with pytest.raises(ConfigurationError, match=variant):
+        RecipeAblation(variants=[variant]).run(Workbench(tmp_path))
+    assert not list(tmp_path.iterdir())
