@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass
 
-from sgvf_drake.experiments.paper.baselines.experiment import BaselineComparison
+from sgvf_drake.paper.baselines import BaselineComparison
 from sgvf_drake.experiments.paper.corners.experiment import Corners
 from sgvf_drake.experiments.paper.flights.experiment import Flights
-from sgvf_drake.experiments.paper.indexing.experiment import Indexing
+from sgvf_drake.paper.indexing import Indexing
 from sgvf_drake.experiments.paper.loss_ablation.experiment import LossAblation
 from sgvf_drake.experiments.paper.overview.experiment import Overview
 from sgvf_drake.experiments.paper.recipe_ablation.experiment import RecipeAblation
