@@ -76,9 +76,9 @@ class Mean:
     percent: bool = False
 
     @classmethod
-    def of(cls, values: Sequence[float] | pd.Series, **options: tuple[float, float]) -> "Mean":
-        """Returns the mean and interval of values, one a seed; options of `interval`."""
-        return cls(*interval(values, **options))
+    def of(cls, values: Sequence[float] | pd.Series) -> "Mean":
+        """Returns the mean and interval of values, one a seed; see `interval`."""
+        return cls(*interval(values))
 
     @classmethod
     def of_shares(

@@ -91,7 +91,9 @@ class Experiment(ABC):
             exhibits=[*self.figures(rows), *self.tables(rows)],
             claims=self.findings(rows),
             logs=self.logs(rows),
-            rows={name: table.drop(columns=FOLDER) for name, table in rows.items()},
+            rows={
+                name: own.drop(columns=FOLDER, errors="ignore") for name, own in rows.items()
+            },
         )
 
 

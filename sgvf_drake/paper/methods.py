@@ -1,4 +1,4 @@
-"""The clouds and the ways to a field that are compared.
+"""The clouds, and the ways from a cloud to a field, that are compared with each other.
 
 Waypoints come in an order to the methods that need one; the cases say in which.
 """

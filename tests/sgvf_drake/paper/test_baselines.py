@@ -5,25 +5,18 @@ from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.integrate import solve_ivp
 
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments import follow
-from sgvf_drake.experiments.outcome import Verdict
-from sgvf_drake.experiments.paper.baselines.claims import baseline_claims
-from sgvf_drake.experiments.paper.baselines.experiment import BaselineComparison
-from sgvf_drake.experiments.paper.baselines.measures import (
-    Ways,
-    coverage,
-    effort,
-    errors,
-    find_ways,
-)
-from sgvf_drake.experiments.paper.baselines.methods import CASES, LEARNED, METHODS, make_case
-from sgvf_drake.experiments.paper.baselines.trials import TRAJECTORIES
 from sgvf_drake.experiments.workbench import Workbench
 from sgvf_drake.fields import CurveField, FourierCurve, ParametricField
+from sgvf_drake.paper.baselines import TRAJECTORIES, BaselineComparison
+from sgvf_drake.paper.claims import Verdict
+from sgvf_drake.paper.methods import CASES, LEARNED, METHODS, make_case
+from sgvf_drake.paper.ways import Ways, coverage, effort, errors, find_ways
 from sgvf_drake.paths import Piece, PointCloud, ReferencePath, trace_pieces
 
 UNIT = 0.5
@@ -264,85 +257,49 @@ def test_a_classical_field_of_an_open_curve_ends():
 # The verdicts.
 
 GOOD, BAD, THIN, HALF = (1.0, 1.0), (0.0, 0.0), (1.0, 0.8), (0.5, 1.0)
+HOLDS, PARTLY, FAILS = Verdict.HOLDS, Verdict.PARTLY, Verdict.FAILS
 
 
-def verdicts(means):
-    return {claim.key: claim.verdict for claim in baseline_claims(means)}
+def findings(means):
+    """What a comparison of these cases and methods finds, by success and coverage."""
+    cases, methods = (list(dict.fromkeys(names)) for names in zip(*means, strict=True))
+    cells = pd.DataFrame(
+        {"case": case, "method": method, "success": success, "coverage": covered}
+        for (case, method), (success, covered) in means.items()
+    )
+    return {
+        one.key: one for one in BaselineComparison(cases, methods).findings({"cells": cells})
+    }
 
 
 @pytest.mark.parametrize(
-    ("means", "key", "verdict"),
+    ("key", "means", "verdict"),
     [
-        ({("ordered", "fourier"): GOOD}, "baselines-ordered", Verdict.HOLDS),
-        (
-            {("ordered", "fourier"): GOOD, ("ordered", "lagrange"): BAD},
-            "baselines-ordered",
-            Verdict.PARTLY,
-        ),
-        ({("ordered", "parametric"): THIN}, "baselines-ordered", Verdict.FAILS),
-        (
-            {("shuffled", "pursuit"): BAD, ("shuffled", "implicit"): GOOD},
-            "baselines-shuffled",
-            Verdict.HOLDS,
-        ),
-        (
-            {("shuffled", "pursuit"): BAD, ("shuffled", "fourier"): HALF},
-            "baselines-shuffled",
-            Verdict.PARTLY,
-        ),
-        (
-            {("shuffled", "sorted"): HALF, ("noisy", "sorted"): BAD},
-            "baselines-unordered",
-            Verdict.HOLDS,
-        ),
-        (
-            {("shuffled", "sorted"): GOOD, ("noisy", "sorted"): BAD},
-            "baselines-unordered",
-            Verdict.PARTLY,
-        ),
-        (
-            {("shuffled", "sorted"): GOOD, ("noisy", "sorted"): GOOD},
-            "baselines-unordered",
-            Verdict.FAILS,
-        ),
-        ({("branching", "sorted"): THIN}, "baselines-branching", Verdict.HOLDS),
-        ({("corners", "fourier"): GOOD}, "baselines-corners", Verdict.FAILS),
-        (
-            {("noisy", "paper"): GOOD, ("pieces", "paper"): HALF},
-            "baselines-sgvf",
-            Verdict.PARTLY,
-        ),
-        (
-            {("pieces", "robust"): GOOD, ("pieces", "sorted"): GOOD},
-            "baselines-advantage",
-            Verdict.FAILS,
-        ),
-        (
-            {("pieces", "robust"): GOOD, ("pieces", "sorted"): THIN},
-            "baselines-advantage",
-            Verdict.HOLDS,
-        ),
-        (
-            {("pieces", "robust"): HALF, ("pieces", "sorted"): THIN},
-            "baselines-advantage",
-            Verdict.PARTLY,
-        ),
-        (
-            {("pieces", "robust"): (0.4, 1.0), ("pieces", "sorted"): THIN},
-            "baselines-advantage",
-            Verdict.FAILS,
-        ),
+        ("ordered", {("ordered", "fourier"): GOOD}, HOLDS),
+        ("ordered", {("ordered", "fourier"): GOOD, ("ordered", "lagrange"): BAD}, PARTLY),
+        ("ordered", {("ordered", "parametric"): THIN}, FAILS),
+        ("shuffled", {("shuffled", "pursuit"): BAD, ("shuffled", "implicit"): GOOD}, HOLDS),
+        ("shuffled", {("shuffled", "pursuit"): BAD, ("shuffled", "fourier"): HALF}, PARTLY),
+        ("unordered", {("shuffled", "sorted"): HALF, ("noisy", "sorted"): BAD}, HOLDS),
+        ("unordered", {("shuffled", "sorted"): GOOD, ("noisy", "sorted"): BAD}, PARTLY),
+        ("unordered", {("shuffled", "sorted"): GOOD, ("noisy", "sorted"): GOOD}, FAILS),
+        ("branching", {("branching", "sorted"): THIN}, HOLDS),
+        ("corners", {("corners", "fourier"): GOOD}, FAILS),
+        ("sgvf", {("noisy", "paper"): GOOD, ("pieces", "paper"): HALF}, PARTLY),
+        ("advantage", {("pieces", "robust"): GOOD, ("pieces", "sorted"): GOOD}, FAILS),
+        ("advantage", {("pieces", "robust"): GOOD, ("pieces", "sorted"): THIN}, HOLDS),
+        ("advantage", {("pieces", "robust"): HALF, ("pieces", "sorted"): THIN}, PARTLY),
+        ("advantage", {("pieces", "robust"): (0.4, 1), ("pieces", "sorted"): THIN}, FAILS),
     ],
 )
-def test_verdicts_follow_from_the_numbers(means, key, verdict):
-    assert verdicts(means)[key] is verdict
+def test_verdicts_follow_from_the_numbers(key, means, verdict):
+    assert findings(means)[f"baselines-{key}"].verdict is verdict
 
 
 def test_what_was_not_run_is_not_judged():
-    assert verdicts({("ordered", "robust"): GOOD}) == {}
-    found = baseline_claims({("branching", "sorted"): THIN})
-    assert [claim.key for claim in found] == ["baselines-branching"]
-    assert "100 % on 80 % of the waypoints" in found[0].evidence
+    assert findings({("ordered", "robust"): GOOD}) == {}
+    (found,) = findings({("branching", "sorted"): THIN}).values()
+    assert "Fourier (sorted first) 100 % on 80 % of it" in found.evidence
 
 
 # The run.
@@ -363,14 +320,13 @@ def test_a_small_run_tells_order_from_disorder(outcome):
     assert (rows.loc[("shuffled", "parametric"), "success"] == 0).all()
     assert rows.loc[("ordered", "parametric", 3), "rms_u"] < 1e-3
     assert (rows["evaluation_us"] > 0).all()
-    assert [claim.verdict for claim in found.claims[:2]] == [Verdict.HOLDS, Verdict.HOLDS]
+    assert [claim.verdict for claim in found.claims[:2]] == [HOLDS, HOLDS]
 
 
 def test_what_cannot_differ_is_run_once(outcome):
     _, bench = outcome
     # Of eight cells: one fit for all, one curve in order, and two out of order.
-    assert len(list(bench.store.glob("*/row.json"))) == 1 + 1 + 2
-    assert len(list(bench.store.glob(f"*/{TRAJECTORIES}"))) == 4
+    assert len(list(bench.store.rglob(TRAJECTORIES))) == 1 + 1 + 2
 
 
 def test_tables_and_figure(outcome):

@@ -1,1 +1,0 @@
-"""Classical fields beside SGVF, on the same waypoints."""

@@ -1,1 +1,0 @@
-"""Fig. 1: what the order of waypoints decides."""

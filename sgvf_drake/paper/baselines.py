@@ -1,0 +1,457 @@
+"""Sections I and II-A: classical fields and SGVF on the same clouds, by the same protocol.
+
+A method handles a case if 95 % of the starts succeed and 95 % of the waypoints are passed,
+on average over the seeds; in part, if half of both; it is broken if 5 % of the starts succeed,
+or fewer.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+import time
+import timeit
+from typing import Any
+
+from matplotlib.axes import Axes
+import numpy as np
+import pandas as pd
+
+from sgvf_drake import plotting
+from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.experiments.follow import PATIENCE, FollowResult, follow
+from sgvf_drake.experiments.workbench import Row, Workbench
+from sgvf_drake.fields import ParametricField
+from sgvf_drake.metrics import default_duration
+from sgvf_drake.paper.claims import Claim, Count, Figures, Rows, Verdict, every
+from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
+from sgvf_drake.paper.intervals import SHARE, interval, interval_columns
+from sgvf_drake.paper.methods import CASES, LEARNED, METHODS, make_case
+from sgvf_drake.paper.ways import Ways, coverage, effort, errors, find_ways
+from sgvf_drake.paths import PointCloud
+
+HANDLED, HALF, BROKEN = 0.95, 0.5, 0.05
+# One point, so often in a row, and the best of so many rows.
+EVALUATIONS, ROWS = 20, 7
+TRAJECTORIES = "trajectories.npz"
+# Every so many samples are kept for the figure: 0.2 U at full speed.
+KEPT = 4
+# U; what is shown of the plane: the box of the starts, and a margin.
+SHOWN = 6.0
+# Of the figure, where they were run: enough to see what happens.
+SHOWN_METHODS = ("implicit", "fourier", "smoothed", "paper", "robust")
+SHOWN_CASES = ("ordered", "shuffled", "noisy", "branching", "pieces")
+# Cases for the classical methods alone: the corners of SGVF are an experiment of their own.
+CLASSICAL_CASES = ("corners",)
+INTERPOLATIONS = ("fourier", "lagrange", "parametric")
+CLASSICAL = tuple(name for name in METHODS if name not in LEARNED)
+TAKING_ORDER = tuple(name for name in METHODS if METHODS[name].takes_order)
+
+_FIGURE_CAPTION = (
+    "starts on every cloud, first seed: blue where an agent laps the path (on the branching "
+    "one: stays on it, and stops only at a tip), red where it does not. Above each panel the "
+    "share of those that do, and of how many of the waypoints if that is not all."
+)
+CAPTIONS = {
+    "ordered": "Evenly spaced waypoints on a smooth curve, in their order. What asks for no "
+    "order has the same trials here as shuffled.",
+    "shuffled": "The same waypoints in random order.",
+    "noisy": "The same with noise of 0.05 U, in random order.",
+    "branching": "Three bent arms from one middle, arm by arm, from the middle out.",
+    "pieces": "Two concentric circles, one after the other.",
+    "corners": "A square, in order; SGVF at corners has an experiment of its own.",
+}
+_MEASURES = (
+    "Success: share of the starts; coverage: share of the waypoints that those pass within "
+    "0.3 U; errors and effort (RMS curvature of their way, the acceleration at unit speed) "
+    "are theirs too. Build: CPU time to the first value; point: time of one value, without "
+    "compiling. Means over the seeds with 95 % intervals; max is of all."
+)
+
+
+@dataclass(frozen=True)
+class BaselineTrial:
+    """A method on a case.
+
+    Attributes:
+        case: One of `CASES`.
+        method: One of `METHODS`.
+        seed: Seed of noise, order and training.
+        starts: Number of starts.
+    """
+
+    case: str
+    method: str
+    seed: int
+    starts: int
+
+
+def measure_baseline(trial: BaselineTrial, folder: Path) -> Row:
+    """Builds a field, follows it and measures it; leaves its trajectories.
+
+    Returns:
+        success, coverage, rms_u, max_u, effort (1/U), build_s (CPU, with the first
+        evaluation), evaluation_us (one point); errors and effort are those of the agents
+        that succeed, None without any.
+    """
+    cloud, reference = make_case(CASES[trial.case], trial.seed)
+    if trial.method in LEARNED:
+        import sgvf_drake.learning  # noqa: F401 (torch, before the time is taken)
+    begin = time.process_time()
+    field = METHODS[trial.method].build(cloud, trial.seed)
+    point = cloud.points[0]
+    state = field.lift(point[None])[0] if isinstance(field, ParametricField) else point
+    field(state)
+    build_s = time.process_time() - begin
+    patience = PATIENCE.get(trial.method, 1.0)
+    unit = cloud.unit_length
+    run = follow(field, reference, trial.starts, patience * default_duration(reference, unit))
+    ways = find_ways(run, reference, unit, patience)
+    save_trajectories(folder, cloud, run, ways)
+    seconds = timeit.repeat(lambda: field(state), number=EVALUATIONS, repeat=ROWS)
+    return {
+        "success": float(ways.good.mean()),
+        "coverage": coverage(run, ways, cloud),
+        **errors(run, ways, unit),
+        "effort": effort(run, ways, unit),
+        "build_s": build_s,
+        "evaluation_us": 1e6 * min(seconds) / EVALUATIONS,
+    }
+
+
+def save_trajectories(folder: Path, cloud: PointCloud, run: FollowResult, ways: Ways) -> None:
+    """Leaves waypoints and agents in U, and who succeeded, for `draw_trajectories`."""
+    np.savez_compressed(
+        folder / TRAJECTORIES,
+        points=cloud.normalize(cloud.points),
+        positions=cloud.normalize(run.positions[::KEPT]).astype(np.float32),
+        good=ways.good,
+    )
+
+
+def draw_trajectories(axes: Axes, folder: Path) -> Count:
+    """Draws what `save_trajectories` left; returns how many agents succeeded."""
+    with np.load(folder / TRAJECTORIES) as stored:
+        plotting.plot_trajectories(axes, stored["positions"], stored["good"])
+        plotting.plot_waypoints(axes, stored["points"])
+        return Count.of(stored["good"])
+
+
+@dataclass
+class BaselineComparison(Experiment):
+    """Follows clouds with classical fields and with SGVF: the same starts, the same measures.
+
+    Attributes:
+        cases: The clouds, of `methods.CASES`.
+        methods: The ways to a field, of `methods.METHODS`.
+        starts: Number of starts, a grid over the box.
+        seeds: Seeds of noise, order and training.
+    """
+
+    cases: list[str] = field(default_factory=lambda: list(CASES))
+    methods: list[str] = field(default_factory=lambda: list(METHODS))
+    starts: int = 100
+    seeds: list[int] = field(default_factory=lambda: [0, 1, 2])
+
+    def measure(self, bench: Workbench) -> Rows:
+        """Follows every method on every case.
+
+        Returns:
+            `cells`: a row a case, method and seed, or without chance one a case and method.
+
+        Raises:
+            ConfigurationError: There is no such case or method, or none is given.
+        """
+        _check("case", self.cases, CASES)
+        _check("method", self.methods, METHODS)
+        _check("seed", self.seeds, self.seeds)
+        cells = [
+            (case, method, trial)
+            for case in self.cases
+            for method in self._methods_on(case, self.methods)
+            # Without chance, the trials of all seeds are the same one.
+            for trial in dict.fromkeys(self._trial(case, method, seed) for seed in self.seeds)
+        ]
+        different = list(dict.fromkeys(trial for *_, trial in cells))
+        found = run_trials(bench, measure_baseline, different, "baselines")
+        rows = dict(zip(different, found.to_dict("records"), strict=True))
+        return {
+            "cells": pd.DataFrame(
+                {**rows[trial], "case": case, "method": method} for case, method, trial in cells
+            )
+        }
+
+    def _trial(self, case: str, method: str, seed: int) -> BaselineTrial:
+        """Returns the trial; what cannot differ is one trial, run once.
+
+        What does not take the order of the waypoints for that of the path gets those of the
+        shuffled case in the ordered one; and a formula without noise or order has no seed.
+        """
+        takes_order = METHODS[method].takes_order
+        if case == "ordered" and not takes_order:
+            case = "shuffled"
+        by_chance = CASES[case].noise > 0 or (CASES[case].shuffled and takes_order)
+        if method not in LEARNED and not by_chance:
+            seed = self.seeds[0]
+        return BaselineTrial(case, method, seed, self.starts)
+
+    def _methods_on(self, case: str, methods: Iterable[str]) -> list[str]:
+        """Returns which of these methods are run on a case."""
+        left_out = LEARNED if case in CLASSICAL_CASES else ()
+        run = case in self.cases
+        return [
+            name for name in methods if run and name in self.methods and name not in left_out
+        ]
+
+    def claims(self) -> list[Claim]:
+        """Returns the claims whose cases and methods are run."""
+        found = []
+        for key, source, statement, cases, methods, measure, rule in _CLAIMS:
+            pairs = {case: run for case in cases if (run := self._methods_on(case, methods))}
+            if pairs:
+                measured = partial(measure, pairs=pairs)
+                found.append(Claim(key, source, statement, measured, rule))
+        compared = {
+            case: (own, others)
+            for case in self.cases
+            if (own := self._methods_on(case, LEARNED))
+            and (others := self._methods_on(case, CLASSICAL))
+        }
+        if compared:
+            found.append(
+                Claim(
+                    "baselines-advantage",
+                    "Abstract, Section VII",
+                    "SGVF follows paths reliably on which classical guiding vector fields "
+                    "fail.",
+                    partial(_advantage, compared=compared),
+                    _has_advantage,
+                )
+            )
+        return found
+
+    def tables(self, rows: Rows) -> list[Exhibit]:
+        """Returns a table a case."""
+        return [
+            Exhibit(
+                f"baselines_{case}",
+                f"{CAPTIONS[case]} {_MEASURES}",
+                _table(case, rows["cells"]),
+            )
+            for case in self.cases
+        ]
+
+    def figures(self, rows: Rows) -> list[Exhibit]:
+        """Returns a grid of panels: methods from top to bottom, cases from left to right."""
+        methods = [name for name in SHOWN_METHODS if name in self.methods]
+        cases = [name for name in SHOWN_CASES if name in self.cases]
+        height, width = len(methods), len(cases)
+        figure, flat = plotting.new_figure(height, width, 2.4 * width, 2.5 * height + 0.4)
+        firsts = rows["cells"].groupby(["case", "method"], sort=False).first()
+        for number, axes in enumerate(flat):
+            method, case = methods[number // width], cases[number % width]
+            if (case, method) in firsts.index:
+                row: Any = firsts.loc[(case, method)]
+                draw_trajectories(axes, row[FOLDER])
+                axes.set_title(_followed(row["success"], row["coverage"]), fontsize="medium")
+            axes.set(xlim=(-SHOWN, SHOWN), ylim=(-SHOWN, SHOWN), aspect="equal")
+            axes.label_outer()
+            if number < width:
+                title = f"{CASES[case].label}\n{axes.get_title()}"
+                axes.set_title(title, fontsize="medium")
+            if number % width == 0:
+                axes.set_ylabel(f"{METHODS[method].label}\ny [U]")
+            if number // width == height - 1:
+                axes.set_xlabel("x [U]")
+        caption = f"The same {self.starts} {_FIGURE_CAPTION}"
+        return [Exhibit("baselines", caption, figure)]
+
+    def logs(self, rows: Rows) -> Mapping[str, pd.DataFrame]:
+        """Returns all rows."""
+        return {"baselines": rows["cells"].drop(columns=FOLDER)}
+
+
+def _check(what: str, names: Sequence, known: Sequence | Mapping) -> None:
+    if not names:
+        raise ConfigurationError(f"the comparison needs a {what}")
+    for name in names:
+        if name not in known:
+            raise ConfigurationError(
+                f"there is no {what} {name!r} (they are {', '.join(map(str, known))})"
+            )
+
+
+def _table(case: str, cells: pd.DataFrame) -> pd.DataFrame:
+    numbers = ["success", "coverage", "rms_u", "max_u", "effort", "build_s", "evaluation_us"]
+    own = cells[cells["case"] == case].astype(dict.fromkeys(numbers, float))
+    return pd.DataFrame(
+        {
+            "method": METHODS[str(method)].label,
+            **interval_columns("success", found["success"], SHARE),
+            "coverage": found["coverage"].mean(),
+            **interval_columns("RMS, U", found["rms_u"]),
+            "max, U": found["max_u"].max(),
+            **interval_columns("effort, 1/U", found["effort"]),
+            "build, s": interval(found["build_s"])[0],
+            "point, µs": found["evaluation_us"].min(),
+        }
+        for method, found in own.groupby("method", sort=False)
+    )
+
+
+class _Shares:
+    """Success and coverage, means over the seeds, by case and method."""
+
+    def __init__(self, rows: Rows) -> None:
+        means = rows["cells"].groupby(["case", "method"])[["success", "coverage"]].mean()
+        self.means = dict(
+            zip(means.index, means.itertuples(index=False, name=None), strict=True)
+        )
+
+    def handles(self, method: str, case: str, part: float = HANDLED) -> bool:
+        return bool(min(self.means[case, method]) >= part)
+
+    def is_broken(self, method: str, case: str) -> bool:
+        return bool(self.means[case, method][0] <= BROKEN)
+
+    def told(self, pairs: Mapping[str, Sequence[str]]) -> dict[str, str]:
+        """Success of methods on each case, and coverage where that is what is missing."""
+        return {
+            f"starts that succeed, {CASES[case].label}": ", ".join(
+                f"{METHODS[method].label} {_followed(*self.means[case, method])}"
+                for method in methods
+            )
+            for case, methods in pairs.items()
+        }
+
+
+def _followed(success: float, covered: float) -> str:
+    part = f"{100 * success:.0f} %"
+    return f"{part} on {100 * covered:.0f} % of it" if success >= HANDLED > covered else part
+
+
+Pairs = Mapping[str, Sequence[str]]
+"""The methods that are run on each case."""
+
+
+def _handled(rows: Rows, pairs: Pairs) -> Figures:
+    shares = _Shares(rows)
+    good = (shares.handles(one, case) for case, own in pairs.items() for one in own)
+    return {"handled": Count.of(good), **shares.told(pairs)}
+
+
+def _own_handled(rows: Rows, pairs: Pairs) -> Figures:
+    """As `_handled` of the paper's recipe, with the other recipes told beside it."""
+    shares = _Shares(rows)
+    everyone = {
+        case: [name for name in LEARNED if (case, name) in shares.means] for case in pairs
+    }
+    return {**_handled(rows, pairs), **shares.told(everyone)}
+
+
+def _broken(rows: Rows, pairs: Pairs) -> Figures:
+    shares = _Shares(rows)
+    good = (shares.is_broken(one, case) for case, own in pairs.items() for one in own)
+    return {"broken": Count.of(good), **shares.told(pairs)}
+
+
+def _failures(rows: Rows, pairs: Pairs) -> Figures:
+    shares = _Shares(rows)
+    handled = [
+        [shares.handles(method, case) for case in pairs]
+        for method in next(iter(pairs.values()))
+    ]
+    return {
+        "methods that handle a case": Count.of(map(any, handled)),
+        "methods that handle all cases": Count.of(map(all, handled)),
+        **shares.told(pairs),
+    }
+
+
+def _all_fail(figures: Figures) -> Verdict:
+    """Holds if no method handles any of the cases; not if one handles all."""
+    some, one_for_all = (
+        figures[f"methods that handle {what}"] for what in ("a case", "all cases")
+    )
+    assert isinstance(some, Count)
+    assert isinstance(one_for_all, Count)
+    return Verdict.when(some.good == 0, one_for_all.good == 0)
+
+
+def _advantage(
+    rows: Rows, compared: Mapping[str, tuple[Sequence[str], Sequence[str]]]
+) -> Figures:
+    shares = _Shares(rows)
+    left = {
+        case: own
+        for case, (own, others) in compared.items()
+        if not any(shares.handles(method, case) for method in others)
+    }
+    return {
+        "cases that no classical method handles, sorting first included": Count(
+            len(left), len(compared)
+        ),
+        "of these handled by SGVF": Count.of(
+            any(shares.handles(one, case) for one in own) for case, own in left.items()
+        ),
+        "handled in part": Count.of(
+            any(shares.handles(one, case, HALF) for one in own) for case, own in left.items()
+        ),
+        **shares.told(left),
+    }
+
+
+def _has_advantage(figures: Figures) -> Verdict:
+    handled, partly = figures["of these handled by SGVF"], figures["handled in part"]
+    assert isinstance(handled, Count)
+    assert isinstance(partly, Count)
+    return Verdict.when(0 < handled.good == handled.all, partly.good > 0)
+
+
+# Key, source, statement, cases, methods, measure and rule.
+_CLAIMS = (
+    (
+        "baselines-ordered",
+        "Section I, Fig. 1 (left)",
+        "Ordered waypoints are interpolated, by Lagrange's or Fourier's method, to a curve "
+        "that a classical guiding vector field follows.",
+        *(["ordered"], INTERPOLATIONS, _handled, every("handled")),
+    ),
+    (
+        "baselines-shuffled",
+        "Section I, Fig. 1 (middle)",
+        "Shuffled waypoints break what takes their order for that of the path.",
+        *(["shuffled"], TAKING_ORDER, _broken, every("broken")),
+    ),
+    (
+        "baselines-unordered",
+        "Abstract, Section I",
+        "Classical methods fail when the waypoints are unordered.",
+        *(["shuffled", "noisy"], CLASSICAL, _failures, _all_fail),
+    ),
+    (
+        "baselines-branching",
+        "Abstract, Section I, Fig. 1 (right)",
+        "Classical methods fail when the path branches.",
+        *(["branching"], CLASSICAL, _failures, _all_fail),
+    ),
+    (
+        "baselines-pieces",
+        "Abstract, Section V-A",
+        "Classical methods fail when the path is several curves.",
+        *(["pieces"], CLASSICAL, _failures, _all_fail),
+    ),
+    (
+        "baselines-corners",
+        "Section I",
+        "A path with corners, as a square, cannot have a classical guiding vector field.",
+        *(["corners"], CLASSICAL, _failures, _all_fail),
+    ),
+    (
+        "baselines-sgvf",
+        "Abstract, Section I (contribution 1)",
+        "SGVF follows unordered, noisy and branching waypoints in one framework; judged by "
+        "the paper's own recipe.",
+        *(list(CASES), ["paper"], _own_handled, every("handled")),
+    ),
+)
