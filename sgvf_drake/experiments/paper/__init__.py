@@ -3,14 +3,14 @@
 from dataclasses import dataclass
 
 from sgvf_drake.experiments.paper.baselines.experiment import BaselineComparison
-from sgvf_drake.experiments.paper.corners.experiment import Corners
 from sgvf_drake.experiments.paper.flights.experiment import Flights
 from sgvf_drake.experiments.paper.indexing.experiment import Indexing
 from sgvf_drake.experiments.paper.loss_ablation.experiment import LossAblation
 from sgvf_drake.experiments.paper.overview.experiment import Overview
 from sgvf_drake.experiments.paper.recipe_ablation.experiment import RecipeAblation
-from sgvf_drake.experiments.paper.stein.experiment import SteinIdentity
-from sgvf_drake.experiments.paper.vanishing.experiment import ScoreVanishing
+from sgvf_drake.paper.corners import Corners
+from sgvf_drake.paper.stein import SteinIdentity
+from sgvf_drake.paper.vanishing import ScoreVanishing
 
 
 @dataclass
