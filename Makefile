@@ -13,13 +13,21 @@ export MPLBACKEND ?= Agg
 # Material for MkDocs advertises its successor at every build.
 export NO_MKDOCS_2_WARNING := 1
 
-.PHONY: demo test browser check docs format bench bench-learning clean
+.PHONY: demo test test-full test-data browser check docs format bench bench-learning clean
 
 demo: $(VENV)/.run-time
 	$(BIN)/sgvf demo --out demo --overwrite
 
 test: $(VENV)/.development browser
+	$(BIN)/python -m pytest -m "not benchmark and not full" -n auto --dist loadfile
+
+# With what takes long: run it before an issue is called done.
+test-full: $(VENV)/.development browser
 	$(BIN)/python -m pytest -m "not benchmark" -n auto --dist loadfile
+
+# Trains the fields anew that the tests read: for a recipe that has changed on purpose.
+test-data: $(VENV)/.development
+	$(BIN)/python -m tests.data.make
 
 # The pages of flights are tested in Chromium, which Debian has and PyPI has not.
 browser:

@@ -17,8 +17,10 @@ from sgvf_drake.fields import (
     Perceptron,
     RobustComposition,
     ScoreNetwork,
+    load_field,
 )
 from sgvf_drake.paths import PointCloud, make_shape
+from tests.data.make import field_file, open_circle
 
 RECIPES = ("robust", "exact", "paper")
 
@@ -91,6 +93,26 @@ def field(request):
     return random_field(request.param)
 
 
+def stored_field_fixture(name):
+    """A fixture that reads a trained field; see tests/data/make.py for what it learned."""
+
+    @pytest.fixture(scope="session", name=f"{name}_field")
+    def read():
+        return load_field(field_file(name))
+
+    return read
+
+
+robust_field = stored_field_fixture("robust")
+exact_field = stored_field_fixture("exact")
+paper_field = stored_field_fixture("paper")
+star_field = stored_field_fixture("star")
+square_field = stored_field_fixture("square")
+flight_field = stored_field_fixture("flight")
+open_field = stored_field_fixture("open")
+half_circle_field = stored_field_fixture("half_circle")
+
+
 @pytest.fixture(scope="session")
 def concentric():
     """The headline cloud, 200 clean waypoints, and its true path."""
@@ -108,9 +130,7 @@ def robust_result(concentric):
 @pytest.fixture(scope="session")
 def open_cloud():
     """Six tenths of a circle of radius 3, from (-2.43, -1.76) around to (3, 0)."""
-    angle = np.linspace(0, 1.2 * np.pi, 80)
-    points = 3 * np.column_stack([np.cos(angle), np.sin(angle)])
-    return PointCloud(np.random.default_rng(0).permutation(points))
+    return open_circle()
 
 
 @pytest.fixture(scope="session")
