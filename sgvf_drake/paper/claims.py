@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 import math
+from typing import Any
 
 import pandas as pd
 
@@ -76,9 +77,9 @@ class Mean:
     percent: bool = False
 
     @classmethod
-    def of(cls, values: Sequence[float] | pd.Series, **options: tuple[float, float]) -> "Mean":
-        """Returns the mean and interval of values, one a seed; options of `interval`."""
-        return cls(*interval(values, **options))
+    def of(cls, values: Sequence[float] | pd.Series) -> "Mean":
+        """Returns the mean and interval of values, one a seed; see `interval`."""
+        return cls(*interval(values))
 
     @classmethod
     def of_shares(
@@ -136,7 +137,7 @@ class Claim:
     source: str
     statement: str
     measure: Callable[[Rows], Figures]
-    rule: Callable[[Figures], Verdict]
+    rule: Callable[[Mapping[str, Any]], Verdict]
     of_paper: bool = True
 
 

@@ -83,7 +83,8 @@ def along_sides(field: GuidingField, corners: int) -> dict[str, FloatArray]:
     side = np.roll(start, -1, axis=0) - start
     steps = (np.arange(SIDE_SAMPLES) + 0.5) / SIDE_SAMPLES
     points = start[:, None] + steps[:, None] * side[:, None]
-    m = sum(field.components(points.reshape(-1, 2))).reshape(points.shape)
+    s, v = field.components(points.reshape(-1, 2))
+    m = (s + v).reshape(points.shape)
     direction = side / np.linalg.norm(side, axis=1)[:, None]
     return {
         "speed": np.linalg.norm(m, axis=2),
