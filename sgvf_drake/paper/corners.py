@@ -115,13 +115,13 @@ class Corners(Experiment):
 
     Attributes:
         angle_polygons: Numbers of corners of further polygons, besides square and hexagon.
-        angle_seeds: Their seeds.
-        num_points: Waypoints on each, at equal steps from the first corner.
-        starts: Agents that follow each field.
-        patience: How many times as long as usual they have, since the paper's fields are
-            slow on their path.
+        angle_seeds: Seeds of those polygons.
+        num_points: Number of waypoints on each, at equal steps from the first corner.
+        starts: Number of agents that follow each field.
+        patience: How many times as long as usual the agents have, since the paper's fields
+            are slow on their path.
         effort: Part of the recipes' iterations.
-        seeds: Of square and hexagon: of the order of the waypoints and of the networks.
+        seeds: Seeds of square and hexagon: of the order of the waypoints, and of the networks.
     """
 
     angle_polygons: list[int] = field(default_factory=lambda: [3, 5, 8, 12])
@@ -188,8 +188,8 @@ def measure_corners(trial: CornerTrial, folder: Path) -> Row:
     Leaves each field as `NAME.safetensors` and what was seen along it as `NAME.npz`.
 
     Returns:
-        By the name of the network: what agents did, one value each; the zeros of m and the
-        sizes of s and v there; and what `examine` says.
+        For each network by its name: what agents did, one value each; the zeros of m and
+        the sizes of s and v there; and what `examine` says.
     """
     # Imported here: what reads the rows does not import torch.
     from sgvf_drake.learning import train

@@ -47,7 +47,7 @@ class Probe:
     y turned by a right angle, which turns the residual and does not change its size.
 
     Attributes:
-        form: Which polynomial.
+        form: Which polynomial, one of `FORMS`.
         centre: c, (2,).
         radius: R.
     """
@@ -204,7 +204,7 @@ def collect(
         mixture: p.
         probes: The test fields f.
         draws: Number of samples, a multiple of `CHUNK`.
-        seed: Of the samples.
+        seed: Seed of the samples.
     """
     chunks = [_moments(score, mixture, probes, x) for x in _samples(mixture, draws, seed)]
     return Moments(*(np.concatenate(blocks) for blocks in zip(*chunks, strict=True)))

@@ -38,7 +38,7 @@ class ParametricTrial:
 
     Attributes:
         shape: One of `SHAPES`, of closed pieces.
-        num_points: Waypoints, in order, on each piece.
+        num_points: Number of waypoints, in order, on each piece.
     """
 
     shape: str
@@ -129,7 +129,7 @@ def plot_helices(axes: Any, trial: pd.Series) -> None:
     """Draws curves over their parameter w, and agents that follow them.
 
     Args:
-        axes: In 3-D.
+        axes: Axes in 3-D.
         trial: A row of `measure_parametric`, with its folder.
     """
     fields = parametric_fields(trial["shape"], trial["num_points"])

@@ -88,7 +88,7 @@ class SteinTrial:
         cloud: Path of the cloud, one of `clouds.PATHS`.
         sampling: One of `clouds.SAMPLINGS`.
         score: `EXACT`, or the recipe that learns it.
-        seed: Of the cloud, the training and the draws.
+        seed: Seed of the cloud, the training and the draws.
         draws: Number of samples of p, a multiple of `CHUNK`.
     """
 
@@ -104,10 +104,10 @@ class SteinIdentity(Experiment):
     """Puts scores to Stein's identity E[S f^T] = -E[grad f], by Monte Carlo.
 
     Attributes:
-        cloud: Whose density and scores are tested, one of `clouds.PATHS`.
-        recipes: Those that learn a score.
-        draws: Samples of the density, for each seed; a multiple of 20,000.
-        seeds: Of the training and the draws.
+        cloud: Path of the cloud whose density and scores are tested, one of `clouds.PATHS`.
+        recipes: Recipes that learn a score.
+        draws: Number of samples of the density, for each seed; a multiple of 20,000.
+        seeds: Seeds of the training and the draws.
     """
 
     cloud: str = "concentric-circles"

@@ -11,9 +11,10 @@ def shortened(recipe: str, seed: int, effort: float, **settings: Any) -> "Traini
 
     Args:
         recipe: One of `RECIPES`.
-        seed: Of the networks.
-        effort: Part of the iterations; 1: those of the recipe at the usual noise level.
-        settings: Others of `TrainingConfig`.
+        seed: Seed of the networks.
+        effort: Part of the iterations; 1 takes all that the recipe has at the usual noise
+            level.
+        settings: Other arguments of `TrainingConfig`; they count before these.
     """
     # Imported here: what reads the rows of trials does not import torch.
     from sgvf_drake.learning import TrainingConfig

@@ -15,7 +15,7 @@ from sgvf_drake.paths import ReferencePath
 from sgvf_drake.paths.shapes import regular_polygon
 
 RADIUS = 3.0
-"""Of the corners, in the unit of the waypoints."""
+"""How far the corners are from the centre, in the unit of the waypoints."""
 
 NEAR = 0.5
 """Near a corner: within this many U of it."""
@@ -42,8 +42,8 @@ def places(points: FloatArray, corners: int, unit: float) -> pd.DataFrame:
 
     Args:
         points: (n, 2) in the unit of the waypoints, near the polygon.
-        corners: Of the polygon.
-        unit: U.
+        corners: Number of corners of the polygon.
+        unit: U in the unit of the waypoints.
 
     Returns:
         One row a point: the nearest `corner`, numbered counter-clockwise, and the `distance`
@@ -133,7 +133,7 @@ def find_traps(row: Mapping[str, Any], progress: FloatArray) -> pd.DataFrame:
     """Returns the traps of a field m: its stable zeros that are on the polygon.
 
     Args:
-        row: Of the field: unit, zeros, zeros_stable and zeros_score.
+        row: What was measured of the field: unit, zeros, zeros_stable and zeros_score.
         progress: (corners, samples) part of m along each side.
 
     Returns:
@@ -162,7 +162,7 @@ def examine(
         row: What was measured of the field: unit, final, stalled, lapped, paused, rms, max,
             undecided, and what `find_traps` needs.
         along: `speed` and `progress` from `along_sides`.
-        corners: Of the polygon.
+        corners: Number of corners of the polygon.
 
     Returns:
         `figures`: even: the part of the path that is near a corner; stalled, stalled_near,

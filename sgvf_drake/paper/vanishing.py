@@ -112,11 +112,12 @@ class ScoreVanishing(Experiment):
     """Finds where learned scores vanish, against a field that vanishes nowhere.
 
     Attributes:
-        shapes: Those whose score the robust recipe learns, the one of the figure first.
-        paper_shapes: Those of which the paper's recipe learns it as well.
-        parametric_points: Waypoints, in order, of the field in one more dimension.
+        shapes: Shapes whose score the robust recipe learns, the one of the figure first.
+        paper_shapes: Shapes whose score the paper's recipe learns as well.
+        parametric_points: Number of waypoints, in order, on each piece for the field in one
+            more dimension.
         effort: Part of the recipes' iterations.
-        seeds: Of the waypoints' order and the networks.
+        seeds: Seeds of the waypoints' order and of the networks.
     """
 
     shapes: list[str] = field(
@@ -261,7 +262,7 @@ def region_indices(
 
 
 def _holes(region: BoolArray) -> int:
-    """The number of parts of the rest that do not reach the border of the array."""
+    """Returns how many parts of the rest do not reach the border of the array."""
     # Cells of a region touch along their sides, so those of the rest may touch at corners.
     _, parts = ndimage.label(np.pad(~region, 1, constant_values=True), np.ones((3, 3)))
     return int(parts) - 1
@@ -327,7 +328,7 @@ def _distinct(numbers: Iterable[int]) -> str:
 
 
 def _as_topology(fields: pd.DataFrame) -> Count:
-    """In how many regions the indices add up to the Euler characteristic."""
+    """Returns in how many regions the indices add up to the Euler characteristic."""
     regions = regions_of(fields)
     return Count.of(regions["index_sum"] == regions["euler"])
 
