@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 import math
+from typing import Any
 
 import pandas as pd
 
@@ -136,7 +137,7 @@ class Claim:
     source: str
     statement: str
     measure: Callable[[Rows], Figures]
-    rule: Callable[[Figures], Verdict]
+    rule: Callable[[Mapping[str, Any]], Verdict]
     of_paper: bool = True
 
 

@@ -3,14 +3,14 @@
 from dataclasses import dataclass
 
 from sgvf_drake.paper.baselines import BaselineComparison
-from sgvf_drake.experiments.paper.corners.experiment import Corners
+from sgvf_drake.paper.corners import Corners
 from sgvf_drake.paper.flights import Flights
 from sgvf_drake.paper.indexing import Indexing
 from sgvf_drake.paper.loss_ablation import LossAblation
 from sgvf_drake.paper.overview import Overview
 from sgvf_drake.paper.recipe_ablation import RecipeAblation
-from sgvf_drake.experiments.paper.stein.experiment import SteinIdentity
-from sgvf_drake.experiments.paper.vanishing.experiment import ScoreVanishing
+from sgvf_drake.paper.stein import SteinIdentity
+from sgvf_drake.paper.vanishing import ScoreVanishing
 
 
 @dataclass

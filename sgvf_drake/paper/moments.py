@@ -7,31 +7,22 @@ tested is the score that stands for S.  Everything is in normalised units.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
-from sgvf_drake.experiments.clouds import make_cloud
 from sgvf_drake.experiments.workbench import Row
 from sgvf_drake.fields import (
     PAPER_GAIN,
     FloatArray,
     GaussianMixture,
-    GuidingField,
     PaperComposition,
     ScoreNetwork,
 )
-from sgvf_drake.paths import PointCloud
 
-EXACT = "exact"
-"""The score in closed form; the other ones are learned, and go by their recipe."""
+RAW, SQUASHED = 0, 1
+"""Which of the two fields of `Moments` stands for the score."""
 
-MOMENTS = "moments.npz"
-
-# Noise level of the exact mixture: the data end of the paper's schedule as we take it.
-SIGMA = 0.1
 # Draws whose mean makes one block; the standard errors are from the spread of the blocks.
 BLOCK = 500
 # Draws that are evaluated at a time.
@@ -43,25 +34,8 @@ WIDE_RADIUS = 8.0
 # A direction along no axis and no symmetry of a shape.
 SLANT = np.array([np.cos(1.0), np.sin(1.0)])
 FORMS = ("constant", "radial", "quadratic")
-
-
-@dataclass(frozen=True)
-class SteinTrial:
-    """A score that is put to the identity.
-
-    Attributes:
-        cloud: Path of the cloud, one of `clouds.PATHS`.
-        sampling: One of `clouds.SAMPLINGS`.
-        score: `EXACT`, or the recipe that learns it.
-        seed: Of the cloud, the training and the draws.
-        draws: Number of samples of p, a multiple of `CHUNK`.
-    """
-
-    cloud: str
-    sampling: str
-    score: str
-    seed: int
-    draws: int
+# A sample size needs so many independent samples of it for its root mean square.
+FEWEST_GROUPS = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +47,7 @@ class Probe:
     y turned by a right angle, which turns the residual and does not change its size.
 
     Attributes:
-        form: Which polynomial.
+        form: Which polynomial, one of `FORMS`.
         centre: c, (2,).
         radius: R.
     """
@@ -108,6 +82,19 @@ class Probe:
         return q, np.stack([by_first, by_second], axis=1)
 
 
+def make_probes(waypoints: FloatArray) -> list[Probe]:
+    """Returns the test fields: every form about one of the waypoints and over everything.
+
+    Args:
+        waypoints: (N, 2), of which the outermost in one direction is chosen: the same one in
+            whatever order they come.
+    """
+    waypoint = waypoints[np.argmax(waypoints @ SLANT)]
+    places = [(waypoint, radius) for radius in LOCAL_RADII]
+    places.append((np.zeros(2), WIDE_RADIUS))
+    return [Probe(form, centre, radius) for centre, radius in places for form in FORMS]
+
+
 @dataclass(frozen=True, eq=False)
 class Moments:
     """Means of what the identity is made of, over blocks of draws; B blocks, K probes.
@@ -136,56 +123,71 @@ class Moments:
     exact_squares: FloatArray
     error_squares: FloatArray
 
-    def save(self, folder: Path) -> None:
-        """Leaves `MOMENTS` in a folder; single precision is far finer than the errors."""
-        arrays = {name: value.astype(np.float32) for name, value in vars(self).items()}
-        np.savez_compressed(folder / MOMENTS, **arrays)
+    def best_scale(self) -> float:
+        """Returns the factor with which the squashed score comes nearest to the identity."""
+        products, gradients = self.products[:, SQUASHED].mean(axis=0), self.gradients.mean(0)
+        weights = 1 / self.probe_squares.mean(axis=0)[:, None, None]
+        return float(-(weights * products * gradients).sum() / (weights * products**2).sum())
 
-    @classmethod
-    def load(cls, folder: Path) -> "Moments":
-        """Reads what `save` left."""
-        with np.load(folder / MOMENTS) as arrays:
-            names = [attribute.name for attribute in fields(cls)]
-            return cls(**{name: arrays[name].astype(np.float64) for name in names})
+    def departures(self, which: int = RAW, scale: float = 1.0) -> Row:
+        """Returns how far a score is from Stein's identity.
+
+        Sizes are relative to the largest that the Cauchy-Schwarz inequality allows:
+        sqrt(E|S|^2 E|f|^2) for E[S f^T].  log p, the paper's f, is a scalar and has no
+        compact support.  The identity holds all the same, since p log p falls to zero with
+        the Gaussian tails of p, and it says E[S log p] = -E[S]; that is zero because the
+        integral of S p = grad p is.
+
+        Args:
+            which: `RAW` or `SQUASHED`.
+            scale: What the score is multiplied with.
+
+        Returns:
+            Of each probe, (K,): the size of E[S f^T] + E[grad f], the `residuals`; their
+            standard `errors`; and what the identity says, |E[grad f]|, the `signals`.  The
+            largest entry `z` of the residuals in standard errors.  E[S] and E[S log p] as
+            `mean` and `log` with `mean_z` and `log_z`.  The root mean square `score_error`
+            under p, relative to the score.  The `scale`.  And a `curve` over the number of
+            `draws`: the residual, root mean square over the probes and over independent
+            samples of that many draws; the last is that of all draws.
+        """
+        square = self.squares[:, which].mean()
+        bounds = scale * np.sqrt(square * self.probe_squares.mean(axis=0))[:, None, None]
+        blocks = (scale * self.products[:, which] + self.gradients) / bounds
+        residuals, errors, z = _departure(blocks.reshape(*blocks.shape[:2], 4))
+        mean, _, mean_z = _departure(self.means[:, which] / np.sqrt(square))
+        log_bound = np.sqrt(square * self.log_squares.mean())
+        log, _, log_z = _departure(self.log_products[:, which] / log_bound)
+        sizes = [2**k for k in range(len(blocks)) if len(blocks) >> k >= FEWEST_GROUPS]
+        sizes = [*(sizes or [1]), len(blocks)]
+        return {
+            "residuals": residuals,
+            "errors": errors,
+            "signals": np.linalg.norm(self.gradients.mean(axis=0) / bounds, axis=(1, 2)),
+            "z": z,
+            "mean": mean,
+            "mean_z": mean_z,
+            "log": log,
+            "log_z": log_z,
+            "score_error": np.sqrt(self.error_squares.mean() / self.exact_squares.mean()),
+            "scale": scale,
+            "draws": [size * BLOCK for size in sizes],
+            "curve": [_residual_of(blocks, size) for size in sizes],
+        }
 
 
-def make_probes(waypoint: FloatArray) -> list[Probe]:
-    """Returns the test fields: every form about a waypoint (2,) and over everything."""
-    places = [(waypoint, radius) for radius in LOCAL_RADII]
-    places.append((np.zeros(2), WIDE_RADIUS))
-    return [Probe(form, centre, radius) for centre, radius in places for form in FORMS]
+def _departure(blocks: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+    """Returns the sizes of means of blocks (B, ..., d), their errors, and the largest z."""
+    mean = blocks.mean(axis=0)
+    errors = blocks.std(axis=0, ddof=1) / np.sqrt(len(blocks))
+    z = np.abs(mean) / np.maximum(errors, np.finfo(np.float64).tiny)
+    return np.linalg.norm(mean, axis=-1), np.linalg.norm(errors, axis=-1), float(z.max())
 
 
-def measure_stein(trial: SteinTrial, folder: Path) -> Row:
-    """Trains a score, if it is a learned one, and leaves the moments of its identity."""
-    cloud, _ = make_cloud(trial.cloud, trial.sampling, trial.seed)
-    if trial.score == EXACT:
-        mixture = GaussianMixture(cloud.normalize(cloud.points), SIGMA)
-        score: ScoreNetwork | GaussianMixture = mixture
-    else:
-        field = _learned(cloud, trial)
-        points = cloud.points if field.support is None else field.support
-        mixture, score = (
-            GaussianMixture(cloud.normalize(points), field.sigma),
-            field.score_model,
-        )
-    # The outermost in one direction: the same one in whatever order they come.
-    probes = make_probes(mixture.points[np.argmax(mixture.points @ SLANT)])
-    collect(score, mixture, probes, trial.draws, trial.seed).save(folder)
-    return {
-        "probes": [
-            {"form": probe.form, "radius": probe.radius, "centre": probe.centre.tolist()}
-            for probe in probes
-        ]
-    }
-
-
-def _learned(cloud: PointCloud, trial: SteinTrial) -> GuidingField:
-    """Returns a field of which the score is trained; the tangent is not asked for."""
-    from sgvf_drake.learning import TrainingConfig, train
-
-    settings: dict[str, Any] = {"recipe": trial.score, "seed": trial.seed}
-    return train(cloud, TrainingConfig(**settings, tangent_iterations=1, max_restarts=0)).field
+def _residual_of(blocks: FloatArray, size: int) -> float:
+    """Returns the root mean square residual of independent samples of so many blocks."""
+    samples = blocks[: len(blocks) // size * size].reshape(-1, size, *blocks.shape[1:])
+    return float(np.sqrt((samples.mean(axis=1) ** 2).sum(axis=(2, 3)).mean()))
 
 
 def collect(
@@ -202,7 +204,7 @@ def collect(
         mixture: p.
         probes: The test fields f.
         draws: Number of samples, a multiple of `CHUNK`.
-        seed: Of the samples.
+        seed: Seed of the samples.
     """
     chunks = [_moments(score, mixture, probes, x) for x in _samples(mixture, draws, seed)]
     return Moments(*(np.concatenate(blocks) for blocks in zip(*chunks, strict=True)))

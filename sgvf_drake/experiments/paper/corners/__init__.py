@@ -1,1 +1,0 @@
-"""Fig. 6: shallow and deep tangent networks at the corners of polygons."""

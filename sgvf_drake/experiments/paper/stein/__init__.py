@@ -1,1 +1,0 @@
-"""Section II: Stein's identity of exact, learned and normalised scores."""

@@ -1,1 +1,0 @@
-"""Fig. 5: where a learned score vanishes, and a field that vanishes nowhere."""

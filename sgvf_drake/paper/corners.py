@@ -1,0 +1,613 @@
+"""Fig. 6: what shallow and deep tangent networks do at the corners of polygons."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+import math
+from pathlib import Path
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+import numpy as np
+import pandas as pd
+from scipy.stats import spearmanr
+
+from sgvf_drake import plotting
+from sgvf_drake.arrays import FloatArray
+from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.experiments.follow import follow
+from sgvf_drake.experiments.workbench import Row, Workbench
+from sgvf_drake.fields import GuidingField, ScoreNetwork, load_field
+from sgvf_drake.lyapunov import find_guiding_zeros
+from sgvf_drake.metrics import default_duration
+from sgvf_drake.paper import claims
+from sgvf_drake.paper.claims import Claim, Count, Figures, Mean, Rows, Share, Span, Verdict
+from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
+from sgvf_drake.paper.intervals import SHARE, interval, interval_columns
+from sgvf_drake.paper.training import shortened
+from sgvf_drake.paper.traps import along_sides, examine, paused, polygon
+from sgvf_drake.paths import PointCloud
+
+POLYGONS = "polygons"
+"""The table of the trials."""
+
+SQUARE, HEXAGON = 4, 6
+NAMES = {SQUARE: "square", HEXAGON: "hexagon"}
+# Hidden widths of the tangent: the paper's, and its deeper one (Section VI-B).
+PAPER_TANGENTS = {"shallow": (128,), "deep": (64, 64, 64, 64)}
+NETWORKS = (*PAPER_TANGENTS, "robust")
+# The panels of the paper's Fig. 6, and the robust recipe on the sharper of the two.
+PANELS = ((SQUARE, "shallow"), (HEXAGON, "shallow"), (HEXAGON, "deep"), (SQUARE, "robust"))
+# Of the trajectories every fifth sample is kept, one each quarter of U at unit speed.
+THINNING = 5
+
+SECTION = "Section VI-B"
+# The chance that a correlation is found by accident.
+SIGNIFICANCE = 0.05
+# Below this a part of the field counts as vanishing; `sgvf verify` asks as much of m.
+SMALL = 0.05
+# What is told of claims and asked for by their rules.
+SLOW = "least |m| near corners, of that on sides"
+PAUSED, STALLED = "agents that pause and go on, %", "agents that never go on"
+CORRELATION = "rank correlation with the angle"
+FREE = "deep fields free of traps and stalls at corners"
+# The range of what may be anything, and of a share in per cent.
+ANY, PERCENT = (-math.inf, math.inf), (0.0, 100.0)
+
+FIGURE_CAPTION = (
+    "Agents from a grid of starts on the square and the hexagon, seed {seed}: the paper's "
+    "shallow and deeper tangent, and the robust recipe. Red agents do not complete a lap, and "
+    "crosses mark where agents stall."
+)
+NEAR_CAPTION = (
+    "The same fields at the corner where |m| is least: |m| in colour, stream lines of m, the "
+    "waypoints and the zeros of m."
+)
+ANGLES_CAPTION = (
+    "Top: agents that stall, and corners with a trap nearby, over the angle of the corners; "
+    "means over the seeds with 95 % intervals. Bottom left: |m| along the square past a "
+    "corner, median over seeds and corners, and from 10 % to 90 % of them. Bottom right: where "
+    "the traps near corners sit, all polygons."
+)
+STALLS_CAPTION = (
+    "Where agents stall: shares of the starts in per cent, and of those that stall the share "
+    "within 0.5 U of a corner, beside the share of the path that is. Paused: those that stand "
+    "still for a while and go on."
+)
+TRAPS_CAPTION = (
+    "Traps, stable zeros of m on the path within 0.5 U of a corner: the share of corners that "
+    "have one, how many sit before and after it in the direction of travel (or where the sides "
+    "run against each other) and how many outside of the polygon; and the least |m| near "
+    "corners and about the middle of sides, means over them."
+)
+
+UNIT = "unit of the waypoints"
+# Half the side of the window about a corner, U, and its pixels.
+WINDOW, PIXELS = 0.6, 161
+# The colours of |m|, and between which values.
+NORM_COLORS, NORMS = "viridis", Normalize(0.0, 1.0)
+# Colour, marker and shift along the axis of angles, so that intervals do not cover each other.
+STYLES = {
+    "shallow": (plotting.RED, "o", -1.2),
+    "deep": (plotting.BLUE, "s", 0.0),
+    "robust": (plotting.GREEN, "^", 1.2),
+}
+
+
+@dataclass(frozen=True)
+class CornerTrial:
+    """A polygon with so many corners and a seed; the rest is as in `Corners`."""
+
+    corners: int
+    seed: int
+    num_points: int
+    starts: int
+    patience: float
+    effort: float
+
+
+@dataclass
+class Corners(Experiment):
+    """Follows fields of shallow, deep and robust networks around the corners of polygons.
+
+    Attributes:
+        angle_polygons: Numbers of corners of further polygons, besides square and hexagon.
+        angle_seeds: Seeds of those polygons.
+        num_points: Number of waypoints on each, at equal steps from the first corner.
+        starts: Number of agents that follow each field.
+        patience: How many times as long as usual the agents have, since the paper's fields
+            are slow on their path.
+        effort: Part of the recipes' iterations.
+        seeds: Seeds of square and hexagon: of the order of the waypoints, and of the networks.
+    """
+
+    angle_polygons: list[int] = field(default_factory=lambda: [3, 5, 8, 12])
+    angle_seeds: list[int] = field(default_factory=lambda: [0, 1, 2])
+    num_points: int = 240
+    starts: int = 100
+    patience: float = 4.0
+    effort: float = 1.0
+    seeds: list[int] = field(default_factory=lambda: [0, 1, 2, 3, 4])
+
+    def measure(self, bench: Workbench) -> Rows:
+        if {SQUARE, HEXAGON} & set(self.angle_polygons):
+            raise ConfigurationError(
+                "angle_polygons are those besides the square (4) and the hexagon (6), "
+                f"not {self.angle_polygons}"
+            )
+        paper = [(corners, seed) for corners in NAMES for seed in self.seeds]
+        angles = [(n, seed) for n in self.angle_polygons for seed in self.angle_seeds]
+        trials = [
+            CornerTrial(*pair, self.num_points, self.starts, self.patience, self.effort)
+            for pair in (*paper, *angles)
+        ]
+        return {POLYGONS: run_trials(bench, measure_corners, trials, "corners")}
+
+    def claims(self) -> Sequence[Claim]:
+        return CLAIMS
+
+    def tables(self, rows: Rows) -> Sequence[Exhibit]:
+        fields, traps = corner_fields(rows), corner_traps(rows)
+        groups = fields.sort_values("corners", kind="stable").groupby(
+            ["corners", "network"], sort=False
+        )
+        stalls, trapped = [], []
+        for (corners, network), own in groups:
+            here = traps[(traps["corners"] == corners) & (traps["network"] == network)]
+            labels = {
+                "angle, degrees": own["angle"].iloc[0],
+                "network": network,
+                "fields": len(own),
+            }
+            stalls.append(labels | _stalls(own))
+            trapped.append(labels | _traps(own, here))
+        return [
+            Exhibit("corner_stalls", STALLS_CAPTION, pd.DataFrame(stalls)),
+            Exhibit("corner_traps", TRAPS_CAPTION, pd.DataFrame(trapped)),
+        ]
+
+    def figures(self, rows: Rows) -> Sequence[Exhibit]:
+        trials, seed = rows[POLYGONS], self.seeds[0]
+        views = list(_views(trials[trials["seed"] == seed].to_dict("records")))
+        return [
+            Exhibit("corners", FIGURE_CAPTION.format(seed=seed), corners_figure(views)),
+            Exhibit("corners_near", NEAR_CAPTION, near_figure(views)),
+            Exhibit("corner_angles", ANGLES_CAPTION, angles_figure(rows)),
+        ]
+
+    def logs(self, rows: Rows) -> Mapping[str, pd.DataFrame]:
+        return {"corner_fields": corner_fields(rows)}
+
+
+def measure_corners(trial: CornerTrial, folder: Path) -> Row:
+    """Trains a shallow and a deep tangent on one score of the paper's, and the robust recipe.
+
+    Leaves each field as `NAME.safetensors` and what was seen along it as `NAME.npz`.
+
+    Returns:
+        For each network by its name: what agents did, one value each; the zeros of m and
+        the sizes of s and v there; and what `examine` says.
+    """
+    # Imported here: what reads the rows does not import torch.
+    from sgvf_drake.learning import train
+
+    cloud = polygon_cloud(trial)
+    score: ScoreNetwork | None = None
+    results = {}
+    for name, hidden in PAPER_TANGENTS.items():
+        config = shortened("paper", trial.seed, trial.effort, tangent_hidden=hidden)
+        results[name] = train(cloud, config, score=score)
+        learned = results[name].field.score_model
+        assert isinstance(learned, ScoreNetwork)
+        score = learned
+    results["robust"] = train(cloud, shortened("robust", trial.seed, trial.effort))
+    return {
+        name: {
+            **_measure(result.field, trial, folder / name),
+            "self_check_passed": result.self_check.passed,
+            "restarts": result.restarts,
+        }
+        for name, result in results.items()
+    }
+
+
+def polygon_cloud(trial: CornerTrial) -> PointCloud:
+    """Returns the waypoints of a trial, in random order."""
+    points = polygon(trial.corners).pieces[0].sample(trial.num_points)
+    return PointCloud(np.random.default_rng(trial.seed).permutation(points))
+
+
+def _measure(field: GuidingField, trial: CornerTrial, file: Path) -> Row:
+    unit, path = field.cloud.unit_length, polygon(trial.corners)
+    run = follow(field, path, trial.starts, trial.patience * default_duration(path, unit))
+    along = along_sides(field, trial.corners)
+    field.save(file.with_suffix(".safetensors"))
+    positions = run.positions[::THINNING].astype(np.float32)
+    np.savez_compressed(
+        file.with_suffix(".npz"), allow_pickle=False, positions=positions, **along
+    )
+    found = find_guiding_zeros(field)
+    s, v = field.components(found.points)
+    summary = run.summary()
+    row = {
+        "unit": unit,
+        "reached": run.metrics.reached,
+        "lapped": run.metrics.lapped,
+        "stalled": run.metrics.stalled,
+        "paused": paused(run, unit),
+        "final": run.positions[-1],
+        "rms": summary["cross_track_rms"],
+        "max": summary["cross_track_max"],
+        "zeros": found.points,
+        "zeros_index": [zero.index for zero in found.zeros],
+        "zeros_stable": [zero.stable for zero in found.zeros],
+        "zeros_score": np.linalg.norm(s, axis=1),
+        "zeros_tangent": np.linalg.norm(v, axis=1),
+        "undecided": found.undecided,
+    }
+    return row | examine(row, along, trial.corners)
+
+
+# Tables.
+
+
+def corner_fields(rows: Rows) -> pd.DataFrame:
+    """Returns one row a field: what it is, and the figures of `examine`."""
+    table = pd.DataFrame(
+        {**labels, **found["figures"], "restarts": found["restarts"]}
+        for labels, found in _fields(rows)
+    )
+    # Where no field has the figure, the column would be one of objects.
+    return table.astype({"near": float, "rms": float, "max": float})
+
+
+def corner_traps(rows: Rows) -> pd.DataFrame:
+    """Returns one row a trap near a corner: its field, and where it is; see `find_traps`."""
+    numbers = ["along", "outside", "distance", "score"]
+    traps = [{**labels, **trap} for labels, found in _fields(rows) for trap in found["traps"]]
+    table = pd.DataFrame(traps, columns=["corners", "network", *numbers])
+    return table.astype(dict.fromkeys(numbers, float))
+
+
+def _fields(rows: Rows) -> Iterator[tuple[Row, Row]]:
+    """Yields what each field is, and what was measured of it."""
+    for trial in rows[POLYGONS].to_dict("records"):
+        polygon = {"corners": trial["corners"], "angle": 180 - 360 / trial["corners"]}
+        for name in NETWORKS:
+            yield {**polygon, "network": name, "seed": trial["seed"]}, trial[name]
+
+
+def _stalls(fields: pd.DataFrame) -> Row:
+    return {
+        **interval_columns("stalled, %", 100 * fields["stalled"], PERCENT),
+        **interval_columns("stalled near a corner, %", 100 * fields["stalled_near"], PERCENT),
+        **interval_columns("near, of the stalled, %", 100 * fields["near"], PERCENT),
+        "near, of the path, %": 100 * fields["even"].iloc[0],
+        **interval_columns("laps, %", 100 * fields["lapped"], PERCENT),
+        "paused, %": 100 * fields["paused"].mean(),
+        "RMS, U": fields["rms"].mean(),
+    }
+
+
+def _traps(fields: pd.DataFrame, traps: pd.DataFrame) -> Row:
+    along = traps["along"]
+    parts = ((along < 0).sum(), (along >= 0).sum(), along.isna().sum())
+    return {
+        **interval_columns("corners with a trap, %", 100 * fields["trapped"], PERCENT),
+        "traps": len(traps),
+        "before / after / clash": " / ".join(map(str, parts)),
+        "outside": int((traps["outside"] > 0).sum()),
+        "distance, U": traps["distance"].mean() if len(traps) else None,
+        **interval_columns("|m| at corners", fields["speed_corner"]),
+        **interval_columns("|m| on sides", fields["speed_side"]),
+    }
+
+
+# Claims.
+
+
+def _of(rows: Rows, network: str, *corners: int) -> pd.DataFrame:
+    """Returns the fields of a network, on some polygons or on all."""
+    fields = corner_fields(rows)
+    fields = fields[fields["network"] == network]
+    return fields[fields["corners"].isin(corners)] if corners else fields
+
+
+def _square(rows: Rows) -> Figures:
+    square = _of(rows, "shallow", SQUARE)
+    near = square["near"].dropna()
+    return {
+        "starts that stall near a corner": Mean.of_shares(square["stalled_near"]),
+        "fields where some do": Count.of(square["stalled_near"] > 0),
+        "of those that stall": Mean.of_shares(near) if len(near) else "none",
+        "of the path": Share(square["even"].iloc[0]),
+    }
+
+
+def _at_corners(figures: Mapping[str, Any]) -> Verdict:
+    stalled, near = figures["starts that stall near a corner"], figures["of those that stall"]
+    # The interval of a single value, NaN, shows nothing.
+    more = near != "none" and near.low > figures["of the path"]
+    return Verdict.when(stalled.low > 0 and more, stalled.mean > 0)
+
+
+def _hexagon(rows: Rows) -> Figures:
+    square, hexagon = (_of(rows, "shallow", corners) for corners in NAMES)
+    pairs = square.merge(hexagon, on="seed", suffixes=("", "_hexagon"))
+    less = pairs["stalled_near"] - pairs["stalled_near_hexagon"]
+    return {
+        "starts that stall near a corner of the square": Mean.of_shares(square["stalled_near"]),
+        "of the hexagon": Mean.of_shares(hexagon["stalled_near"]),
+        "difference": Mean.of_shares(less, (-1.0, 1.0)),
+        "corners of the square with a trap": Share(square["trapped"].mean()),
+        "of the hexagon with a trap": Share(hexagon["trapped"].mean()),
+    }
+
+
+def _deep(rows: Rows) -> Figures:
+    shallow, deep = (_of(rows, network, *NAMES) for network in PAPER_TANGENTS)
+    hexagon = deep[deep["corners"] == HEXAGON]
+    # Where the field runs against itself, a trap is not the corner's.
+    trap = "trapped_locally"
+    pairs = shallow.merge(deep, on=["corners", "seed"], suffixes=("", "_deep"))
+    free = (deep[[trap, "stalled_near", "undecided"]] == 0).all(axis=1)
+    return {
+        FREE: Count.of(free),
+        "deep fields where a corner traps": Count.of(deep[trap] > 0),
+        "of them hexagons": Count.of(hexagon[trap] > 0),
+        "shallow fields": Count.of(shallow[trap] > 0),
+        "corners that trap, deep": Share(deep[trap].mean()),
+        "corners that trap, shallow": Share(shallow[trap].mean()),
+        "difference": Mean.of_shares(pairs[trap] - pairs[f"{trap}_deep"], ANY),
+        "starts that stall near a corner, deep": Share(deep["stalled_near"].mean()),
+        "starts that do, shallow": Share(shallow["stalled_near"].mean()),
+        "deep fields whose sides run different ways around": Count.of(deep["turns"] > 0),
+    }
+
+
+def _pauses(rows: Rows) -> Figures:
+    shallow = _of(rows, "shallow", *NAMES)
+    slow = shallow["speed_corner"] / shallow["speed_side"]
+    return {
+        SLOW: Mean.of_shares(slow, ANY),
+        PAUSED: float(100 * shallow["paused"].mean()),
+        STALLED: Share(shallow["stalled"].mean()),
+    }
+
+
+def _angles(rows: Rows) -> Figures:
+    shallow = _of(rows, "shallow")
+    correlation, p_value = 0.0, 1.0
+    if len(shallow) > 2 and min(shallow[["angle", "trapped"]].nunique()) > 1:
+        correlation, p_value = map(float, spearmanr(shallow["angle"], shallow["trapped"]))
+    shares = shallow.groupby("angle")["trapped"].mean()
+    return {
+        **{
+            f"corners of {angle:g} degrees with a trap": Share(x) for angle, x in shares.items()
+        },
+        CORRELATION: correlation,
+        "p": p_value,
+        "fields": len(shallow),
+    }
+
+
+def _tangent(rows: Rows) -> Figures:
+    traps = corner_traps(rows)
+    # Where m is zero, |v| is |s|.
+    norms = traps.loc[traps["network"] == "shallow", "score"]
+    return {
+        "traps near corners": len(norms),
+        "|v| there": Span.of(norms) if len(norms) else "none",
+        f"below {SMALL}": Count.of(norms < SMALL),
+    }
+
+
+CLAIMS = (
+    Claim(
+        "corners-shallow-square",
+        f"{SECTION}, Fig. 6 (a)",
+        "With a shallow tangent network agents stall near the corners of a square.",
+        _square,
+        _at_corners,
+    ),
+    Claim(
+        "corners-hexagon-less",
+        f"{SECTION}, Fig. 6 (b)",
+        "With a shallow network the corners of a hexagon trap less than those of a square.",
+        _hexagon,
+        lambda found: Verdict.when(found["difference"].low > 0),
+    ),
+    Claim(
+        "corners-deep-eliminates",
+        f"{SECTION}, Fig. 6 (c)",
+        "A deeper tangent network eliminates corner attraction entirely.",
+        _deep,
+        lambda found: Verdict.when(
+            found[FREE].good == found[FREE].all, found["difference"].low > 0
+        ),
+    ),
+    Claim(
+        "corners-pauses",
+        SECTION,
+        "A shallow network traps the agent for a while: it pauses and goes on.",
+        _pauses,
+        lambda found: Verdict.when(
+            found[SLOW].high < 1 and found[PAUSED] > 0 and found[STALLED] == 0,
+            found[SLOW].high < 1,
+        ),
+    ),
+    Claim(
+        "corners-sharper",
+        SECTION,
+        "With a shallow network sharp corners trap more than gentle ones.",
+        _angles,
+        lambda found: Verdict.when(found[CORRELATION] < 0 and found["p"] < SIGNIFICANCE),
+    ),
+    Claim(
+        "corners-tangent-attractor",
+        SECTION,
+        "The traps of shallow networks are local attractors of the tangent field.",
+        _tangent,
+        claims.every(f"below {SMALL}"),
+    ),
+)
+
+
+# Figures.
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A field of a polygon, as it is drawn, and what was measured of it."""
+
+    title: str
+    field: GuidingField
+    positions: FloatArray
+    found: Row
+
+
+def _views(trials: Sequence[Mapping[Any, Any]]) -> Iterator[View]:
+    """Reads the fields of the panels from what the trials of one seed left."""
+    by_corners = {trial["corners"]: trial for trial in trials}
+    for corners, network in PANELS:
+        trial = by_corners[corners]
+        file = trial[FOLDER] / network
+        with np.load(file.with_suffix(".npz")) as stored:
+            positions = stored["positions"].astype(np.float64)
+        field = load_field(file.with_suffix(".safetensors"))
+        yield View(f"{NAMES[corners]}, {network}", field, positions, trial[network])
+
+
+def corners_figure(views: Sequence[View]) -> Figure:
+    """Returns the trajectories of each view, and where agents stall (paper, Fig. 6)."""
+    figure, axes = plotting.new_figure(2, 2, 10.5, 10.8)
+    for panel, view in zip(axes, views, strict=True):
+        lapped, stalled = (np.array(view.found[name], bool) for name in ("lapped", "stalled"))
+        plotting.plot_field(panel, view.field, view.field.cloud.box)
+        plotting.plot_trajectories(panel, view.positions, lapped)
+        plotting.plot_waypoints(panel, view.field.cloud.points)
+        final = view.positions[-1, stalled]
+        panel.plot(*final.T, "X", color="black", markersize=9, markeredgecolor="white")
+        title = f"{view.title}: {lapped.mean():.0%} lap, {stalled.mean():.0%} stall"
+        plotting.plane_axes(panel, UNIT, title)
+    _legend(
+        figure,
+        Line2D([], [], color=plotting.BLUE, label="agent that laps"),
+        Line2D([], [], color=plotting.RED, label="agent that does not"),
+        Line2D([], [], color="black", marker="X", ls="", label="where agents stall"),
+        Line2D([], [], color="black", marker=".", ls="", label="waypoints"),
+    )
+    return figure
+
+
+def near_figure(views: Sequence[View]) -> Figure:
+    """Returns each field about its slowest corner."""
+    figure, axes = plotting.new_figure(2, 2, 10.5, 10.2)
+    for panel, view in zip(axes, views, strict=True):
+        _plot_corner(panel, view)
+    scale = ScalarMappable(NORMS, NORM_COLORS)
+    figure.colorbar(scale, ax=axes, label="|m|", shrink=0.6, extend="max")
+    _legend(
+        figure,
+        Line2D([], [], color="white", marker="v", mec="black", ls="", label="zero, attracts"),
+        Line2D([], [], color="white", marker="o", mec="black", ls="", label="zero, other"),
+        Line2D([], [], color="black", marker=".", ls="", label="waypoints"),
+    )
+    return figure
+
+
+def _legend(figure: Figure, *handles: Line2D) -> None:
+    figure.legend(
+        handles=handles, loc="outside lower center", ncols=len(handles), frameon=False
+    )
+
+
+def _plot_corner(axes: Axes, view: View) -> None:
+    """Draws |m|, stream lines, waypoints and zeros about the slowest corner of a view."""
+    half = WINDOW * view.field.cloud.unit_length
+    corner = view.found["slowest_corner"]
+    x, y = (np.linspace(middle - half, middle + half, PIXELS) for middle in corner)
+    grid = np.stack(np.meshgrid(x, y), axis=-1)
+    m = view.field(grid.reshape(-1, 2)).reshape(grid.shape)
+    size = np.linalg.norm(m, axis=2)
+    axes.pcolormesh(x, y, size, cmap=NORM_COLORS, norm=NORMS, shading="gouraud")
+    axes.streamplot(x, y, m[..., 0], m[..., 1], color="white", density=1.1, linewidth=0.7)
+    axes.plot(*view.field.cloud.points.T, ".", color="black", markersize=5)
+    zeros = np.array(view.found["zeros"]).reshape(-1, 2)
+    stable = np.array(view.found["zeros_stable"], bool)
+    for chosen, marker in ((stable, "v"), (~stable, "o")):
+        axes.plot(*zeros[chosen].T, marker, color="white", mec="black", markersize=11)
+    plotting.plane_axes(axes, UNIT, view.title)
+    axes.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
+
+
+def angles_figure(rows: Rows) -> Figure:
+    """Returns stalls and traps over the angle, the speed past a corner, and where traps sit."""
+    figure, axes = plotting.new_figure(2, 2, 11.5, 9.5)
+    trials, fields = rows[POLYGONS], corner_fields(rows)
+    _plot_over_angle(axes[0], fields, "stalled", "agents that stall, %")
+    _plot_over_angle(axes[1], fields, "trapped", "corners with a trap, %")
+    _plot_profiles(axes[2], list(trials.loc[trials["corners"] == SQUARE, FOLDER]))
+    # Without those at which the sides run against each other, which are past no corner.
+    _plot_traps(axes[3], corner_traps(rows).dropna(subset="along"))
+    for panel in axes:
+        panel.grid(alpha=0.3)
+        panel.legend(loc="best")
+    return figure
+
+
+def _plot_over_angle(axes: Axes, fields: pd.DataFrame, name: str, label: str) -> None:
+    """Draws the mean share of each network over the angle of the corners, in per cent."""
+    for network, (color, marker, shift) in STYLES.items():
+        shares = fields[fields["network"] == network].groupby("angle")[name]
+        angles = np.array([angle for angle, _ in shares], dtype=np.float64)
+        mean, low, high = 100 * np.array([interval(own, SHARE) for _, own in shares]).T
+        spread = np.nan_to_num(np.stack([mean - low, high - mean]))
+        axes.errorbar(
+            angles + shift, mean, spread, color=color, marker=marker, capsize=3, label=network
+        )
+    axes.set(xlabel="angle of the corners [degrees]", xticks=sorted(set(fields["angle"])))
+    axes.set(ylabel=label, ylim=(-5, 105))
+
+
+def _plot_profiles(axes: Axes, folders: Sequence[Path]) -> None:
+    """Draws the median |m| past a corner, with the range from 10 % to 90 % of them."""
+    for network in NETWORKS:
+        # From the middle of one side over the corner to the middle of the next.
+        past = np.concatenate([_speed_past_corners(folder, network) for folder in folders])
+        part = (np.arange(past.shape[1]) + 0.5) / past.shape[1] - 0.5
+        low, median, high = np.quantile(past, [0.1, 0.5, 0.9], axis=0)
+        color = STYLES[network][0]
+        axes.fill_between(part, low, high, color=color, alpha=0.15)
+        axes.plot(part, median, color=color, label=network)
+    axes.set(
+        xlabel="past the corner of the square [sides]", ylabel="|m| on the path", ylim=(0, 1.25)
+    )
+
+
+def _speed_past_corners(folder: Path, network: str) -> FloatArray:
+    """Returns |m| past each corner in the direction in which most sides run."""
+    with np.load(folder / f"{network}.npz") as stored:
+        speed, clockwise = stored["speed"], stored["progress"].mean() < 0
+    if clockwise:
+        speed = speed[::-1, ::-1]
+    return np.roll(speed, speed.shape[1] // 2)
+
+
+def _plot_traps(axes: Axes, traps: pd.DataFrame) -> None:
+    """Draws where traps of each network sit: past the corner along the way, outside."""
+    for network, (color, marker, _) in STYLES.items():
+        own = traps[traps["network"] == network]
+        label = f"{network}: {len(own)}"
+        axes.scatter(
+            own["along"], own["outside"], s=26, color=color, marker=marker, label=label
+        )
+    axes.axvline(0, color="black", linewidth=0.8)
+    axes.axhline(0, color="black", linewidth=0.8)
+    axes.set(
+        xlabel="past the corner along the way [U], negative before it",
+        ylabel="outside of the polygon [U]",
+    )

@@ -1,0 +1,483 @@
+"""Section II-B: Stein's identity, of the exact score, the learned ones and the squashed one."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+from matplotlib.ticker import LogLocator, NullFormatter
+import numpy as np
+import pandas as pd
+from scipy import stats
+
+from sgvf_drake import plotting
+from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.experiments.clouds import make_cloud
+from sgvf_drake.experiments.workbench import Row, Workbench
+from sgvf_drake.fields import FloatArray, GaussianMixture, GuidingField, ScoreNetwork
+from sgvf_drake.paper.claims import Claim, Figures, Rows, Share, Span, Verdict
+from sgvf_drake.paper.experiment import Exhibit, Experiment, run_trials
+from sgvf_drake.paper.intervals import interval_columns
+from sgvf_drake.paper.moments import CHUNK, SQUASHED, Moments, collect, make_probes
+from sgvf_drake.paths import PointCloud
+
+SCORES = "scores"
+"""The table of the trials."""
+
+EXACT = "exact"
+"""The score in closed form; the other ones are learned, and go by their recipe."""
+
+RECIPE_NAMES = {"robust": "robust recipe", "paper": "paper's recipe"}
+SQUASHED_NAME = "exact, squashed"
+RESCALED_NAME = "exact, squashed and rescaled"
+
+SAMPLING = "uniform"
+# Waypoints ten times denser on one side: on an even shape, means vanish by symmetry alone.
+LOPSIDED = ("circle", "uneven")
+# Noise level of the exact mixture: the data end of the paper's schedule as we take it.
+SIGMA = 0.1
+
+SECTION, NORMALISED = "Section II-B", "Section III-B, Eq. (2)"
+# With the number of draws a residual falls by the power -1/2; the fitted power is known to
+# a few hundredths.
+SLOPE, SLOPE_TOLERANCE = -0.5, 0.05
+# A learned score keeps the identity in part where its residual is at most this part of what
+# the identity says.
+PART = 0.2
+# Of the residual E[S f^T] + E[grad f] in the plane.
+ENTRIES = 4
+# Chance at which a set of true identities is taken for false.
+SIGNIFICANCE = 0.01
+
+FIGURE_CAPTION = (
+    "Left: waypoints, and the supports of the test fields. Middle: the residual of "
+    "E[S f^T] = -E[grad f] over the number of draws; that of the exact score falls as one "
+    "over the root, those of learned scores end at their error. Right: the residual with "
+    "each test field beside what the identity says; means over the seeds."
+)
+SCORES_CAPTION = (
+    "The residual of Stein's identity, root mean square over the test fields, and the means "
+    "E[S] and E[S log p] that should be zero; all in per cent of the largest value that the "
+    "Cauchy-Schwarz inequality allows. What the identity says is a small part of that; see "
+    "the figure. A learned score is tested on the density that it learned, whose noise level "
+    "the robust recipe sets by the spacing of the waypoints."
+)
+PROBES_CAPTION = (
+    "The residual with each test field, in per cent as above, beside what the identity says "
+    "and the standard error of the exact score; means over the seeds."
+)
+
+# Colour and marker of the scores, in their order.
+STYLES = (
+    ("black", "o"),
+    (plotting.GREEN, "^"),
+    (plotting.BLUE, "s"),
+    (plotting.RED, "D"),
+)
+
+
+@dataclass(frozen=True)
+class SteinTrial:
+    """A score that is put to the identity.
+
+    Attributes:
+        cloud: Path of the cloud, one of `clouds.PATHS`.
+        sampling: One of `clouds.SAMPLINGS`.
+        score: `EXACT`, or the recipe that learns it.
+        seed: Seed of the cloud, the training and the draws.
+        draws: Number of samples of p, a multiple of `CHUNK`.
+    """
+
+    cloud: str
+    sampling: str
+    score: str
+    seed: int
+    draws: int
+
+
+@dataclass
+class SteinIdentity(Experiment):
+    """Puts scores to Stein's identity E[S f^T] = -E[grad f], by Monte Carlo.
+
+    Attributes:
+        cloud: Path of the cloud whose density and scores are tested, one of `clouds.PATHS`.
+        recipes: Recipes that learn a score.
+        draws: Number of samples of the density, for each seed; a multiple of 20,000.
+        seeds: Seeds of the training and the draws.
+    """
+
+    cloud: str = "concentric-circles"
+    recipes: list[str] = field(default_factory=lambda: ["robust", "paper"])
+    draws: int = 500_000
+    seeds: list[int] = field(default_factory=lambda: [0, 1, 2])
+
+    def measure(self, bench: Workbench) -> Rows:
+        if self.draws < CHUNK or self.draws % CHUNK:
+            raise ConfigurationError(
+                f"draws must be a positive multiple of {CHUNK}, not {self.draws}"
+            )
+        places = [(self.cloud, SAMPLING, score) for score in (EXACT, *self.recipes)]
+        places.append((*LOPSIDED, EXACT))
+        trials = [
+            SteinTrial(*place, seed, self.draws) for place, seed in product(places, self.seeds)
+        ]
+        return {SCORES: run_trials(bench, measure_stein, trials, "Stein's identity")}
+
+    def claims(self) -> Sequence[Claim]:
+        learned = [
+            Claim(
+                f"stein-learned-{recipe}",
+                SECTION,
+                f"The learned score satisfies Stein's identity (recipe {recipe}).",
+                _learned(recipe),
+                _keeps_in_part,
+                of_paper=recipe == "paper",
+            )
+            for recipe in RECIPE_NAMES
+            if recipe in self.recipes
+        ]
+        return [*EXACT_CLAIMS, *learned, *SQUASHED_CLAIMS]
+
+    def tables(self, rows: Rows) -> Sequence[Exhibit]:
+        found = findings(rows)
+        scores = pd.DataFrame(
+            {
+                "waypoints": one["density"],
+                "score": one["score"],
+                **interval_columns(
+                    "residual, %", 100 * (one["residuals"] ** 2).mean(axis=1) ** 0.5
+                ),
+                "largest entry, std. errors": one["z"],
+                **interval_columns("E[S], %", 100 * one["mean"]),
+                **interval_columns("E[S log p], %", 100 * one["log"]),
+                "error of the score, %": 100 * one["score_error"],
+            }
+            for one in found
+        )
+        exact, probes = found[0], rows[SCORES]["probes"].iloc[0]
+        fields = pd.DataFrame(
+            {
+                "test field": [probe["form"] for probe in probes],
+                "radius, U": [probe["radius"] for probe in probes],
+                "identity, %": 100 * exact["signals"].mean(axis=0),
+                "std. error, %": 100 * exact["errors"].mean(axis=0),
+            }
+        )
+        for one in _even(found):
+            fields[f"{one['score']}, %"] = 100 * one["residuals"].mean(axis=0)
+        return [
+            Exhibit("stein_scores", SCORES_CAPTION, scores),
+            Exhibit("stein_test_fields", PROBES_CAPTION, fields),
+        ]
+
+    def figures(self, rows: Rows) -> Sequence[Exhibit]:
+        found = _even(findings(rows))
+        cloud, _ = make_cloud(self.cloud, SAMPLING, self.seeds[0])
+        figure = stein_figure(
+            cloud.normalize(cloud.points), rows[SCORES]["probes"].iloc[0], found
+        )
+        return [Exhibit("stein", FIGURE_CAPTION, figure)]
+
+
+def measure_stein(trial: SteinTrial, folder: Path) -> Row:
+    """Trains a score, if it is a learned one, and measures how it keeps the identity.
+
+    Returns:
+        `probes`: form, radius and centre of each test field; and `found`: what
+        `Moments.departures` says of the score, and of the exact one also squashed, as it is
+        and rescaled, by their names.
+    """
+    cloud, _ = make_cloud(trial.cloud, trial.sampling, trial.seed)
+    score: ScoreNetwork | GaussianMixture
+    if trial.score == EXACT:
+        score = mixture = GaussianMixture(cloud.normalize(cloud.points), SIGMA)
+    else:
+        learned = _train(cloud, trial)
+        points = cloud.points if learned.support is None else learned.support
+        mixture = GaussianMixture(cloud.normalize(points), learned.sigma)
+        score = learned.score_model
+    probes = make_probes(mixture.points)
+    moments = collect(score, mixture, probes, trial.draws, trial.seed)
+    return {
+        "probes": [vars(probe) for probe in probes],
+        "found": found_of(trial.score, moments),
+    }
+
+
+def _train(cloud: PointCloud, trial: SteinTrial) -> GuidingField:
+    """Returns a field of which the score is trained; the tangent is not asked for."""
+    from sgvf_drake.learning import TrainingConfig, train
+
+    settings: dict[str, Any] = {"recipe": trial.score, "seed": trial.seed}
+    return train(cloud, TrainingConfig(**settings, tangent_iterations=1, max_restarts=0)).field
+
+
+def found_of(score: str, moments: Moments) -> Row:
+    """Returns what the moments say of a score, by its name; see `measure_stein`."""
+    found = {RECIPE_NAMES.get(score, score): moments.departures()}
+    if score == EXACT:
+        found[SQUASHED_NAME] = moments.departures(SQUASHED)
+        found[RESCALED_NAME] = moments.departures(SQUASHED, moments.best_scale())
+    return found
+
+
+# What the seeds say together.
+
+
+def findings(rows: Rows) -> list[Row]:
+    """Returns what the seeds say of each score on each density, in the order of the trials.
+
+    Returns:
+        The `density` and the `score` in words, and what `Moments.departures` has: residuals,
+        errors and signals (seeds, K), mean and log (seeds,), the root mean square curve, the
+        largest z and the means of the rest over the seeds.  Besides, the `slope`, the
+        exponent with which the residual falls with the draws; and the `share`, the residual
+        over what the identity says, root mean square over the test fields.
+    """
+    table = pd.DataFrame(
+        {"density": f"{trial['cloud']}, {trial['sampling']}", "score": name, **found}
+        for trial in rows[SCORES].to_dict("records")
+        for name, found in trial["found"].items()
+    )
+    return [
+        {"density": density, "score": score, **_over_seeds(own)}
+        for (density, score), own in table.groupby(["density", "score"], sort=False)
+    ]
+
+
+def _over_seeds(own: pd.DataFrame) -> Row:
+    residuals, errors, signals, curves = (
+        np.array(own[name].tolist()) for name in ("residuals", "errors", "signals", "curve")
+    )
+    draws, curve = np.array(own["draws"].iloc[0]), np.sqrt((curves**2).mean(axis=0))
+    # The square of a mean of draws exceeds that of the expectation by the square of its
+    # standard error on average.
+    square = max(float((residuals**2 - errors**2).mean()), 0.0)
+    return {
+        "residuals": residuals,
+        "errors": errors,
+        "signals": signals,
+        "mean": own["mean"],
+        "log": own["log"],
+        **{name: own[name].max() for name in ("z", "mean_z", "log_z")},
+        **{name: own[name].mean() for name in ("score_error", "scale")},
+        "draws": draws,
+        "curve": curve,
+        # All draws are a single sample, whose residual says little of its root mean square.
+        "slope": np.polyfit(np.log(draws[:-1]), np.log(curve[:-1]), 1)[0],
+        "share": np.sqrt(square / (signals**2).mean()),
+    }
+
+
+def _even(found: list[Row]) -> list[Row]:
+    """Returns the findings on the first density, that of the even waypoints."""
+    return [one for one in found if one["density"] == found[0]["density"]]
+
+
+# Claims.
+
+Z = "largest entry, standard errors"
+SHARE_LEFT = "residual, of what the identity says"
+
+
+def z_limit(count: int) -> float:
+    """Returns the z that the largest of `count` entries passes by chance in `SIGNIFICANCE`.
+
+    By Bonferroni's bound, whatever their correlation.
+    """
+    return float(stats.norm.isf(SIGNIFICANCE / 2 / count))
+
+
+def _of(rows: Rows, score: str) -> list[Row]:
+    return [one for one in findings(rows) if one["score"] == score]
+
+
+def _limit(found: Sequence[Row]) -> float:
+    return z_limit(sum(one["residuals"].size * ENTRIES for one in found))
+
+
+def _identity(rows: Rows) -> Figures:
+    exact = _of(rows, EXACT)
+    return {
+        "entries": sum(one["residuals"].size * ENTRIES for one in exact),
+        Z: float(max(one["z"] for one in exact)),
+        "limit": _limit(exact),
+        "power of the draws": Span.of(one["slope"] for one in exact),
+    }
+
+
+def _log_density(rows: Rows) -> Figures:
+    exact = _of(rows, EXACT)
+    return {
+        Z: float(max(one[name] for one in exact for name in ("log_z", "mean_z"))),
+        # Two coordinates each of E[S log p] and E[S].
+        "limit": z_limit(sum(4 * len(one["log"]) for one in exact)),
+        "E[S log p] at most, %": float(100 * max(one["log"].max() for one in exact)),
+    }
+
+
+def _learned(recipe: str) -> Callable[[Rows], Figures]:
+    def figures(rows: Rows) -> Figures:
+        learned = _of(rows, RECIPE_NAMES[recipe])[0]
+        return {
+            SHARE_LEFT: Share(learned["share"]),
+            Z: float(learned["z"]),
+            "limit": _limit([learned]),
+            "E[S], %": float(100 * learned["mean"].mean()),
+            "error of the score": Share(learned["score_error"]),
+        }
+
+    return figures
+
+
+def _squashed(rows: Rows) -> Figures:
+    squashed, rescaled = _of(rows, SQUASHED_NAME), _of(rows, RESCALED_NAME)
+    figures = {
+        SHARE_LEFT: Share(squashed[0]["share"]),
+        Z: float(min(one["z"] for one in squashed)),
+        "limit": _limit(squashed),
+        "best factor": float(rescaled[0]["scale"]),
+        "limit after it": _limit(rescaled),
+    }
+    for one in rescaled:
+        figures[f"{Z}, after it on {one['density']}"] = float(one["z"])
+        figures[f"residual, %, after it on {one['density']}"] = float(100 * one["share"])
+    return figures
+
+
+def _squashed_mean(rows: Rows) -> Figures:
+    squashed = _of(rows, SQUASHED_NAME)
+    strongest = max(squashed, key=lambda one: float(one["mean_z"]))
+    return {
+        "density": str(strongest["density"]),
+        Z: float(strongest["mean_z"]),
+        "limit": z_limit(sum(2 * len(one["mean"]) for one in squashed)),
+        "mean, %": float(100 * strongest["mean"].mean()),
+    }
+
+
+def _keeps(figures: Mapping[str, Any]) -> Verdict:
+    return Verdict.when(figures[Z] <= figures["limit"])
+
+
+def _keeps_and_falls(figures: Mapping[str, Any]) -> Verdict:
+    slopes = figures["power of the draws"]
+    falls = all(abs(x - SLOPE) <= SLOPE_TOLERANCE for x in (slopes.low, slopes.high))
+    return Verdict.when(falls and figures[Z] <= figures["limit"])
+
+
+def _keeps_in_part(figures: Mapping[str, Any]) -> Verdict:
+    return Verdict.when(figures[Z] <= figures["limit"], figures[SHARE_LEFT] <= PART)
+
+
+def _departs(figures: Mapping[str, Any]) -> Verdict:
+    return Verdict.when(figures[Z] > figures["limit"])
+
+
+EXACT_CLAIMS = (
+    Claim(
+        "stein-identity",
+        SECTION,
+        "E[S f^T] = -E[grad f] for smooth f of compact support.",
+        _identity,
+        _keeps_and_falls,
+    ),
+    Claim(
+        "stein-log-density",
+        SECTION,
+        "E[S log p] = 0, and E[S] = 0.",
+        _log_density,
+        _keeps,
+    ),
+)
+SQUASHED_CLAIMS = (
+    Claim(
+        "stein-squashed-identity",
+        NORMALISED,
+        "The normalised score s = tanh(k_s |S|) S / |S| does not satisfy the identity.",
+        _squashed,
+        _departs,
+    ),
+    Claim(
+        "stein-squashed-mean",
+        NORMALISED,
+        "The normalised score does not have mean zero.",
+        _squashed_mean,
+        _departs,
+    ),
+)
+
+
+# The figure.
+
+
+def stein_figure(points: FloatArray, probes: Sequence[Row], found: Sequence[Row]) -> Figure:
+    """Returns the test fields, the residual over the draws, and that of each test field.
+
+    Args:
+        points: The waypoints, (N, 2) in U.
+        probes: Form, radius and centre of each test field, in U.
+        found: The `findings` on one density, the exact score first.
+    """
+    figure, axes = plotting.new_figure(1, 3, 14, 4.6)
+    # Not to scale: the squashed score is shown rescaled alone.
+    scores = [one for one in found if one["score"] != SQUASHED_NAME]
+    _plot_supports(axes[0], points, probes)
+    _plot_convergence(axes[1], scores)
+    _plot_residuals(axes[2], probes, scores)
+    handles, labels = axes[1].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(handles))
+    return figure
+
+
+def _plot_supports(axes: Axes, points: FloatArray, probes: Sequence[Row]) -> None:
+    plotting.plot_waypoints(axes, points)
+    places = {(*probe["centre"], probe["radius"]) for probe in probes}
+    for x, y, radius in places:
+        axes.add_patch(Circle((x, y), radius, color=plotting.ORANGE, alpha=0.2, linewidth=0))
+        axes.add_patch(Circle((x, y), radius, fill=False, color=plotting.ORANGE))
+    reach = 1.05 * max(max(abs(x), abs(y)) + radius for x, y, radius in places)
+    axes.set(xlim=(-reach, reach), ylim=(-reach, reach))
+    plotting.plane_axes(axes, "U", "waypoints and supports of f")
+
+
+def _plot_convergence(axes: Axes, scores: Sequence[Row]) -> None:
+    for one, (color, marker) in zip(scores, STYLES, strict=False):
+        style = {"marker": marker, "markersize": 4, "color": color, "label": one["score"]}
+        axes.plot(one["draws"], 100 * one["curve"], **style)
+    draws, curve = scores[0]["draws"], scores[0]["curve"]
+    root = 100 * curve[0] * np.sqrt(draws[0] / draws)
+    axes.plot(draws, root, color=plotting.GREY, linestyle="--", label=r"$\propto 1/\sqrt{n}$")
+    axes.set(
+        xlabel="draws n",
+        ylabel="residual [% of bound]",
+        xscale="log",
+        yscale="log",
+        title="residual over the draws",
+    )
+    axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_minor_formatter(NullFormatter())
+    axes.grid(alpha=0.3)
+
+
+def _plot_residuals(axes: Axes, probes: Sequence[Row], scores: Sequence[Row]) -> None:
+    places = np.arange(len(probes))
+    axes.barh(places, 100 * scores[0]["signals"].mean(axis=0), color="#d9d9d9", height=0.8)
+    for one, (color, marker) in zip(scores, STYLES, strict=False):
+        residuals = 100 * one["residuals"].mean(axis=0)
+        axes.plot(residuals, places, marker, markersize=5, color=color)
+    axes.set_yticks(places, [f"{probe['form']}, R = {probe['radius']:g}" for probe in probes])
+    axes.invert_yaxis()
+    axes.set(
+        xlabel="residual [% of bound]",
+        xscale="log",
+        xlim=(0.03, None),
+        title="grey: what the identity says",
+    )
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.grid(alpha=0.3, axis="x")

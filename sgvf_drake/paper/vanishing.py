@@ -1,0 +1,606 @@
+"""Fig. 5: where the learned score vanishes, and a field that vanishes nowhere."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from matplotlib.artist import Artist
+from matplotlib.figure import Figure
+import numpy as np
+import pandas as pd
+from scipy import ndimage
+from scipy.spatial import cKDTree
+from scipy.stats import binomtest
+
+from sgvf_drake import plotting
+from sgvf_drake.arrays import BoolArray
+from sgvf_drake.experiments.figures.singularities import (
+    MARKS,
+    UNIT,
+    plot_density_map,
+    plot_density_surface,
+    plot_zeros,
+)
+from sgvf_drake.experiments.singularities import singularity_summary, zero_rows
+from sgvf_drake.experiments.workbench import Row, Workbench
+from sgvf_drake.fields import GuidingField, ScoreField, load_field
+from sgvf_drake.lyapunov import Singularities, find_singularities, measure_vanishing
+from sgvf_drake.lyapunov.surroundings import NEAR_PATH
+from sgvf_drake.paper.claims import Claim, Count, Figures, Rows, Verdict, every
+from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
+from sgvf_drake.paper.intervals import interval_columns
+from sgvf_drake.paper.parametric import ParametricTrial, measure_parametric, plot_helices
+from sgvf_drake.paper.training import shortened
+from sgvf_drake.paths import ReferencePath, make_shape
+
+FIELDS, PARAMETRIC = "fields", "parametric"
+"""The tables of the trials: learned fields, and fields in one more dimension."""
+
+FIELD = "field.safetensors"
+# Cells along each axis of the box, whose connected parts off the path are its regions.
+REGION_CELLS = 201
+
+SECTION = "Section VI-A, Fig. 5"
+# A search of the least |chi| ends this near to it.
+SEARCH = 1e-6
+# A comparison within one field holds by chance this often.
+ERROR = 0.05
+# What is told of fields on paths whose curvature varies.
+HIGH_CURVATURE = "fields whose zeros on the path keep to high curvature"
+# The comparisons of a field, and what they are called in the table.
+COMPARISONS = {
+    "low_density": "lower density than in the box",
+    "low_density_off_path": "the same off the path",
+    "high_curvature": "higher curvature than along the path",
+}
+# The sign of an index, its colour, its marker, and what it is.
+INDICES = (
+    (1, plotting.BLUE, "o", "index 1: source, sink or focus"),
+    (-1, plotting.RED, "x", "index -1: saddle"),
+)
+
+FIGURE_CAPTION = (
+    "Concentric circles, robust recipe. (a) The learned score and its zeros: rows of sources, "
+    "sinks and saddles along the path and midway between the circles, and one zero in the "
+    "hole. (b), (c) The log-density, with the zeros of the score and of m. (d) The field in "
+    "one more dimension around each circle: there the path is a helix, which agents reach and "
+    "climb; |chi| is nowhere below {least:.3f}."
+)
+SHAPES_CAPTION = (
+    "The log-density of each shape with the zeros of the learned score and of m; seed {seed}. "
+    "Almost all zeros of the score are on the path, where m goes on; m vanishes in the holes "
+    "and between two loops."
+)
+PLACES_CAPTION = (
+    "All zeros of all robust fields. Left: their share up to each percentile of the density, "
+    "which for places drawn evenly would be the diagonal; zeros that keep to low density "
+    "would be above it. Right: |m| at the zeros of the score over the distance from the path: "
+    "it is one on the path and midway between two strands, and small where a zero of m is near."
+)
+COUNTS_CAPTION = (
+    "Zeros of the learned score in each field, means over the seeds: on the path (within three "
+    "noise levels) their indices cancel, off it they add up to one. A region is a connected "
+    "part of the box off the path; in each the indices add up to its Euler characteristic. "
+    "Forced: the fewest zeros off the path that this allows."
+)
+WHERE_CAPTION = (
+    "The chance that a zero of the score has a lower density, or a higher curvature of the "
+    "path, than a place drawn evenly has; 0.5 where zeros do not care. In brackets the fields "
+    "in which it is above 0.5 and not by accident (p < 0.05)."
+)
+PARAMETRIC_CAPTION = (
+    "The field in one more dimension around each piece: the least |chi| on a grid of states, "
+    "after descents from the lowest of them, and the root of 1 + |f'|^2 that follows from the "
+    "formula; beside it the zeros of the robust field m of the shape, mean over the seeds. "
+    "The speed in the plane does vanish, where a robot waits for its point."
+)
+
+
+@dataclass(frozen=True)
+class VanishingTrial:
+    """A score that is learned of a shape, by the recipe `robust` or `paper`."""
+
+    shape: str
+    recipe: str
+    seed: int
+    effort: float
+
+
+@dataclass
+class ScoreVanishing(Experiment):
+    """Finds where learned scores vanish, against a field that vanishes nowhere.
+
+    Attributes:
+        shapes: Shapes whose score the robust recipe learns, the one of the figure first.
+        paper_shapes: Shapes whose score the paper's recipe learns as well.
+        parametric_points: Number of waypoints, in order, on each piece for the field in one
+            more dimension.
+        effort: Part of the recipes' iterations.
+        seeds: Seeds of the waypoints' order and of the networks.
+    """
+
+    shapes: list[str] = field(
+        default_factory=lambda: ["concentric-circles", "separated-circles", "square", "star"]
+    )
+    paper_shapes: list[str] = field(default_factory=lambda: ["concentric-circles", "square"])
+    parametric_points: int = 200
+    effort: float = 1.0
+    seeds: list[int] = field(default_factory=lambda: [0, 1, 2])
+
+    def measure(self, bench: Workbench) -> Rows:
+        cases = [
+            *((shape, "robust") for shape in self.shapes),
+            *((shape, "paper") for shape in self.paper_shapes),
+        ]
+        learned = [
+            VanishingTrial(*case, seed, self.effort) for case in cases for seed in self.seeds
+        ]
+        around = [ParametricTrial(shape, self.parametric_points) for shape in self.shapes]
+        return {
+            FIELDS: run_trials(bench, measure_score_zeros, learned, "score zeros"),
+            PARAMETRIC: run_trials(
+                bench, measure_parametric, around, "fields with a parameter"
+            ),
+        }
+
+    def claims(self) -> Sequence[Claim]:
+        return CLAIMS
+
+    def tables(self, rows: Rows) -> Sequence[Exhibit]:
+        counts, places = [], []
+        for (shape, recipe), own in rows[FIELDS].groupby(["shape", "recipe"], sort=False):
+            case = {"shape": shape, "score": recipe}
+            counts.append(case | _counts(own))
+            places.append(case | _places(own))
+        zeros = _robust(zeros_of(rows, "guiding"))["shape"]
+        pieces = [
+            {
+                "shape": trial["shape"],
+                "piece": number,
+                "least |chi| on the grid": piece["grid"],
+                "after descents": piece["least"],
+                "by the formula": piece["formula"],
+                "least speed in the plane": piece["plane"],
+                "zeros of m (SGVF)": zeros.eq(trial["shape"]).sum() / len(self.seeds),
+            }
+            for trial in rows[PARAMETRIC].to_dict("records")
+            for number, piece in enumerate(trial["pieces"], start=1)
+        ]
+        return [
+            Exhibit("vanishing_counts", COUNTS_CAPTION, pd.DataFrame(counts)),
+            Exhibit("vanishing_places", WHERE_CAPTION, pd.DataFrame(places)),
+            Exhibit("singularity_free", PARAMETRIC_CAPTION, pd.DataFrame(pieces)),
+        ]
+
+    def figures(self, rows: Rows) -> Sequence[Exhibit]:
+        seed = self.seeds[0]
+        first = _robust(rows[FIELDS]).query("seed == @seed").set_index("shape")[FOLDER]
+        fields = {shape: load_field(first[shape] / FIELD) for shape in self.shapes}
+        found = {shape: find_singularities(field) for shape, field in fields.items()}
+        shape, around = self.shapes[0], rows[PARAMETRIC].iloc[0]
+        figure = vanishing_figure(fields[shape], found[shape], around)
+        least = min(piece["least"] for piece in around["pieces"])
+        shapes = shapes_figure(fields, found)
+        zeros = _robust(zeros_of(rows, "score"))
+        return [
+            Exhibit("vanishing", FIGURE_CAPTION.format(least=least), figure),
+            Exhibit("vanishing_shapes", SHAPES_CAPTION.format(seed=seed), shapes),
+            Exhibit("vanishing_zeros", PLACES_CAPTION, places_figure(zeros)),
+        ]
+
+    def logs(self, rows: Rows) -> Mapping[str, pd.DataFrame]:
+        zeros = zeros_of(rows, "score").drop(columns="on_path")
+        return {"score_zeros": zeros.rename(columns={"recipe": "score"})}
+
+
+def measure_score_zeros(trial: VanishingTrial, folder: Path) -> Row:
+    """Finds where a learned score vanishes, and what is there; leaves the field.
+
+    Returns:
+        `singularity_summary`, the summary of `measure_vanishing`, the zeros, and the regions
+        of the box off the path; see `region_indices`.
+    """
+    # Imported here: what reads the rows does not import torch.
+    from sgvf_drake.learning import train
+
+    settings = {
+        # The tangent takes most of the time, and is not asked for.
+        "paper": {"tangent_iterations": 1},
+        # The zeros of whatever score comes out are asked for.
+        "robust": {"max_restarts": 0},
+    }
+    config = shortened(trial.recipe, trial.seed, trial.effort, **settings[trial.recipe])
+    cloud, path = make_shape(trial.shape, seed=trial.seed)
+    field = train(cloud, config).field
+    found = find_singularities(field)
+    vanishing = measure_vanishing(field, found, path)
+    field.save(folder / FIELD)
+    return {
+        **singularity_summary(found),
+        "sigma": field.mixture.sigma,
+        "unit": cloud.unit_length,
+        "vanishing": vanishing.summary(),
+        "zeros": zero_rows(found, vanishing),
+        "regions": region_indices(field, found, path),
+    }
+
+
+def region_indices(
+    field: GuidingField, found: Singularities, path: ReferencePath
+) -> list[dict[str, int]]:
+    """Sums the indices of the zeros of the score over each region of the box off the path.
+
+    A region is a connected part of the box farther from the path than `NEAR_PATH` noise
+    levels: a hole, what lies between two pieces, or what is outside of all.
+
+    Returns:
+        The Euler characteristic of each (1 less its holes), which is what Poincare and Hopf
+        have for a field that points out of the region on the path's side and into the box on
+        its border; the sum of the indices; and the number of zeros.
+    """
+    lower, upper = found.box
+    steps = (np.arange(REGION_CELLS) + 0.5) / REGION_CELLS
+    cells = lower + np.stack(np.meshgrid(steps, steps, indexing="ij"), -1) * (upper - lower)
+    near = NEAR_PATH * field.mixture.sigma
+    off = path.project(cells.reshape(-1, 2)).distance > near
+    labels, count = ndimage.label(off.reshape(REGION_CELLS, REGION_CELLS))
+    inside = labels > 0
+    x = found.score.points
+    indices = np.array([zero.index for zero in found.score.zeros])
+    # A zero on the rim may lie in a cell whose middle is nearer to the path.
+    of_zero = labels[inside][cKDTree(cells[inside]).query(x)[1]]
+    of_zero = np.where(path.project(x).distance > near, of_zero, 0)
+    return [
+        {
+            "euler": 1 - _holes(labels == label),
+            "index_sum": int(indices[of_zero == label].sum()),
+            "zeros": int((of_zero == label).sum()),
+        }
+        for label in range(1, count + 1)
+    ]
+
+
+def _holes(region: BoolArray) -> int:
+    """Returns how many parts of the rest do not reach the border of the array."""
+    # Cells of a region touch along their sides, so those of the rest may touch at corners.
+    _, parts = ndimage.label(np.pad(~region, 1, constant_values=True), np.ones((3, 3)))
+    return int(parts) - 1
+
+
+# Tables.
+
+
+def zeros_of(rows: Rows, field: str) -> pd.DataFrame:
+    """Returns one row a zero of the `score` or of the `guiding` field, and what is around it.
+
+    Returns:
+        Shape, recipe and seed of the field, and what `zero_rows` says: x and y, index, kind,
+        and the rest; the distance from the path in U.
+    """
+    names = ["index", "kind", "path_distance", "density_percentile", "guiding_norm", "on_path"]
+    zeros = [
+        {
+            **{name: trial[name] for name in ("shape", "recipe", "seed")},
+            **dict(zip("xy", zero["point"], strict=True)),
+            **{name: zero[name] for name in names},
+            "path_distance": zero["path_distance"] / trial["unit"],
+        }
+        for trial in rows[FIELDS].to_dict("records")
+        for zero in trial["zeros"]
+        if zero["field"] == field
+    ]
+    table = pd.DataFrame(zeros, columns=["shape", "recipe", "seed", "x", "y", *names])
+    return table.astype({"on_path": bool})
+
+
+def vanishing_of(fields: pd.DataFrame) -> pd.DataFrame:
+    """Returns one row a field: the summary of `measure_vanishing`."""
+    return pd.DataFrame(fields["vanishing"].tolist())
+
+
+def regions_of(fields: pd.DataFrame) -> pd.DataFrame:
+    """Returns one row a region of some fields; see `region_indices`."""
+    regions = [region for own in fields["regions"] for region in own]
+    return pd.DataFrame(regions, columns=["euler", "index_sum", "zeros"])
+
+
+def _robust(table: pd.DataFrame) -> pd.DataFrame:
+    return table[table["recipe"] == "robust"]
+
+
+def _counts(fields: pd.DataFrame) -> Row:
+    """Returns the numbers of zeros of the score of a shape and recipe, and their indices."""
+    found = vanishing_of(fields)
+    return {
+        **interval_columns("zeros on the path", found["zeros_on_path"]),
+        **interval_columns("zeros off it", found["zeros_off_path"]),
+        "forced": regions_of(fields.iloc[:1])["euler"].abs().sum(),
+        "indices on the path": _distinct(found["index_sum_on_path"]),
+        "indices off it": _distinct(found["index_sum_off_path"]),
+        "on the border": _distinct(fields["score_winding_number"]),
+        "regions as topology has them": str(_as_topology(fields)),
+    }
+
+
+def _distinct(numbers: Iterable[int]) -> str:
+    return ", ".join(map(str, sorted(set(numbers))))
+
+
+def _as_topology(fields: pd.DataFrame) -> Count:
+    """Returns in how many regions the indices add up to the Euler characteristic."""
+    regions = regions_of(fields)
+    return Count.of(regions["index_sum"] == regions["euler"])
+
+
+def _places(fields: pd.DataFrame) -> Row:
+    """Returns whether the zeros of a shape and recipe keep to low density, or to bends."""
+    found = vanishing_of(fields)
+    # Only the robust recipe has a tangent here, and so a path that m follows.
+    followed = fields["recipe"].iloc[0] == "robust"
+    least = found["guiding_min_at_score_zeros_on_path"].min() if followed else None
+    return {
+        **{label: _chance(found[name]) for name, label in COMPARISONS.items()},
+        "least |m| on the path": least,
+        "correlation of |S| and log p": found["density_correlation"].mean(),
+    }
+
+
+def _chance(comparisons: pd.Series) -> str | None:
+    known = comparisons.dropna()
+    if known.empty:
+        return None
+    mean = np.mean([comparison["probability"] for comparison in known])
+    return f"{mean:.2f} ({_holding(known)})"
+
+
+# Claims.
+
+
+def _holding(comparisons: pd.Series) -> Count:
+    """Returns how many comparisons hold, of those that can be made."""
+    return Count.of(comparison["holds"] for comparison in comparisons.dropna())
+
+
+def _more_than_chance(count: Count) -> Verdict:
+    """Holds where all comparisons do, in part where more do than errors of 5 % explain."""
+    if count.all == 0:
+        return Verdict.FAILS
+    test = binomtest(count.good, count.all, ERROR, alternative="greater")
+    return Verdict.when(count.good == count.all, test.pvalue < ERROR)
+
+
+def _indices(rows: Rows) -> Figures:
+    fields = rows[FIELDS].to_dict("records")
+    return {
+        "fields where the indices add up to the winding number on the border": Count.of(
+            row["score_index_sum"] == row["score_winding_number"]
+            and not row["undecided_by_field"]["score"]
+            for row in fields
+        ),
+        "regions where they do to the Euler characteristic": _as_topology(rows[FIELDS]),
+    }
+
+
+def _index_rule(found: Mapping[str, Any]) -> Verdict:
+    fields, regions = (count.good == count.all for count in found.values())
+    return Verdict.when(fields and regions, fields)
+
+
+def _singularity(rows: Rows) -> Figures:
+    fields = _robust(rows[FIELDS])
+    found = vanishing_of(fields)
+    score, guiding = (_robust(zeros_of(rows, name)) for name in ("score", "guiding"))
+    meeting, met = (
+        int(found[f"{one}_zeros_at_{other}_zeros"].sum())
+        for one, other in (("score", "guiding"), ("guiding", "score"))
+    )
+    on_path = score.loc[score["on_path"], "guiding_norm"]
+    return {
+        "robust fields": len(fields),
+        "zeros of the score at one of m": Count(meeting, len(score)),
+        "zeros that topology forces": int(regions_of(fields)["euler"].abs().sum()),
+        "least |m| at those on the path": float(on_path.min()) if len(on_path) else "none",
+        "zeros of m at one of the score": Count(met, len(guiding)),
+    }
+
+
+def _density(rows: Rows) -> Figures:
+    found = vanishing_of(rows[FIELDS])
+    on_path, off_path = (int(found[f"zeros_{side}_path"].sum()) for side in ("on", "off"))
+    return {
+        "fields whose zeros keep to low density": _holding(found["low_density"]),
+        "fields whose zeros off the path do": _holding(found["low_density_off_path"]),
+        "zeros on the path": Count(on_path, on_path + off_path),
+    }
+
+
+def _density_rule(found: Mapping[str, Any]) -> Verdict:
+    everywhere, off_path, _ = found.values()
+    # Most zeros are on the path by the density's own shape; the others are the question.
+    verdict = _more_than_chance(off_path)
+    less = verdict is Verdict.HOLDS and everywhere.good < everywhere.all
+    return Verdict.PARTLY if less else verdict
+
+
+def _curvature(rows: Rows) -> Figures:
+    held = vanishing_of(rows[FIELDS])["high_curvature"]
+    return {HIGH_CURVATURE: _holding(held)}
+
+
+def _topology(rows: Rows) -> Figures:
+    regions, found = regions_of(rows[FIELDS]), vanishing_of(rows[FIELDS])
+    regions = regions[regions["euler"] != 0]
+    zeros = found["zeros_on_path"].sum() + found["zeros_off_path"].sum()
+    return {
+        "holes, and regions around more than one loop, with a zero": Count.of(
+            regions["zeros"] > 0
+        ),
+        "zeros that are there": Count(int(regions["zeros"].sum()), int(zeros)),
+    }
+
+
+def _topology_rule(found: Mapping[str, Any]) -> Verdict:
+    regions, zeros = found.values()
+    everywhere = 0 < regions.all == regions.good
+    return Verdict.when(everywhere and zeros.good > zeros.all / 2, everywhere)
+
+
+def _dimension(rows: Rows) -> Figures:
+    pieces = pd.DataFrame(rows[PARAMETRIC]["pieces"].explode().tolist())
+    least = pieces[["grid", "least"]].min(axis=1)
+    return {
+        "least |chi| that a grid and descents found": float(least.min()),
+        "pieces where it is what the formula says": Count.of(
+            least >= (1 - SEARCH) * pieces["formula"]
+        ),
+    }
+
+
+def _dimension_rule(found: Mapping[str, Any]) -> Verdict:
+    least, bounded = found.values()
+    return Verdict.when(least > SEARCH and bounded.good == bounded.all, least > SEARCH)
+
+
+CLAIMS = (
+    Claim(
+        "vanishing-indices",
+        SECTION,
+        "The zeros of the learned score obey the theorem of Poincare and Hopf: the sum of "
+        "their indices is fixed by topology, as the Euler characteristic.",
+        _indices,
+        _index_rule,
+    ),
+    Claim(
+        "vanishing-is-singularity",
+        SECTION,
+        "Score vanishing is a singularity that topology forces, and one of the guiding field.",
+        _singularity,
+        every("zeros of the score at one of m"),
+    ),
+    Claim(
+        "vanishing-low-density",
+        SECTION,
+        "Score vanishing is pronounced where the density of samples is low.",
+        _density,
+        _density_rule,
+    ),
+    Claim(
+        "vanishing-high-curvature",
+        SECTION,
+        "Score vanishing is pronounced where the curvature is high.",
+        _curvature,
+        lambda found: _more_than_chance(found[HIGH_CURVATURE]),
+    ),
+    Claim(
+        "vanishing-topology",
+        SECTION,
+        "Score vanishing is pronounced at nontrivial topology, as loops and holes.",
+        _topology,
+        _topology_rule,
+    ),
+    Claim(
+        "vanishing-singularity-free",
+        SECTION,
+        "A guiding field in one more dimension has no singularity.",
+        _dimension,
+        _dimension_rule,
+    ),
+)
+
+
+# Figures.
+
+
+def vanishing_figure(field: GuidingField, found: Singularities, around: pd.Series) -> Figure:
+    """Returns the score with its zeros, the log-density twice, and the field beyond (Fig. 5).
+
+    Args:
+        field: The learned field.
+        found: Its singularities.
+        around: The trial of the fields in one more dimension around the same shape.
+    """
+    figure = Figure(figsize=(12.5, 11.5), layout="constrained")
+    score = figure.add_subplot(2, 2, 1)
+    plotting.plot_field(score, ScoreField(field), found.box)
+    marks: dict[str, Artist] = {
+        "waypoints": plotting.plot_waypoints(score, field.cloud.points)[0]
+    }
+    marks |= plot_zeros(score, found.score)
+    plotting.plane_axes(score, UNIT, f"(a) learned score, {len(found.score.zeros)} zeros")
+    above = figure.add_subplot(2, 2, 2)
+    both = plot_density_map(above, field, found)[-2:]
+    above.set_title("(b) log-density from above")
+    surface = figure.add_subplot(2, 2, 3, projection="3d")
+    plot_density_surface(surface, field, found)
+    surface.set_title("(c) log-density as a surface")
+    plot_helices(figure.add_subplot(2, 2, 4, projection="3d"), around)
+    names = [name for name in ("waypoints", *MARKS) if name in marks]
+    figure.legend(
+        [*(marks[name] for name in names), *both],
+        [*names, "zeros of S in (b), (c)", "zeros of m in (b), (c)"],
+        loc="outside lower center",
+        ncols=4,
+        frameon=False,
+    )
+    return figure
+
+
+def shapes_figure(
+    fields: Mapping[str, GuidingField], found: Mapping[str, Singularities]
+) -> Figure:
+    """Returns the log-density of each field with the zeros of its score and of m."""
+    columns = min(2, len(fields))
+    rows = -(-len(fields) // columns)
+    figure, axes = plotting.new_figure(rows, columns, 6.3 * columns, 5.2 * rows + 0.5)
+    for panel in axes[len(fields) :]:
+        panel.set_axis_off()
+    marks: Sequence[Artist] = []
+    for panel, (name, learned) in zip(axes, fields.items(), strict=False):
+        marks = plot_density_map(panel, learned, found[name])[-2:]
+        score, guiding = len(found[name].score.zeros), len(found[name].guiding.zeros)
+        panel.set_title(f"{name}: {score} zeros of S, {guiding} of m")
+    figure.legend(
+        marks, ["zeros of S", "zeros of m"], loc="outside lower center", ncols=2, frameon=False
+    )
+    return figure
+
+
+def places_figure(zeros: pd.DataFrame) -> Figure:
+    """Returns at which densities zeros of the score are, and |m| there; from `zeros_of`."""
+    figure, axes = plotting.new_figure(1, 2, 12, 5)
+    on_path = zeros["on_path"]
+    for own, color, label in (
+        (zeros, "black", "all zeros"),
+        (zeros[on_path], plotting.BLUE, "on the path"),
+        (zeros[~on_path], plotting.RED, "off the path"),
+    ):
+        if len(own):
+            percentile = 100 * own["density_percentile"]
+            axes[0].ecdf(percentile, color=color, label=f"{label} ({len(own)})")
+    axes[0].plot([0, 100], [0, 1], "--", color=plotting.GREY, label="places drawn evenly")
+    axes[0].set(
+        xlabel="percentile of the density in the box, %",
+        ylabel="share of the zeros up to it",
+        title="at which densities the score vanishes",
+    )
+    for index, color, marker, label in INDICES:
+        own = zeros[zeros["index"] == index]
+        axes[1].scatter(
+            own["path_distance"],
+            own["guiding_norm"],
+            s=22,
+            color=color,
+            marker=marker,
+            label=label,
+        )
+    axes[1].set(
+        xlabel="distance from the path [U]",
+        ylabel="|m|",
+        title="|m| where the score vanishes",
+        ylim=(-0.05, 1.1),
+    )
+    for panel in axes:
+        panel.grid(alpha=0.3)
+        panel.legend(loc="best")
+    return figure
