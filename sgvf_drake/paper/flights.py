@@ -10,10 +10,8 @@ import numpy as np
 import pandas as pd
 
 from sgvf_drake.exceptions import ConfigurationError, SgvfError
-from sgvf_drake.experiments.feasibility import Feasibility
-from sgvf_drake.experiments.figures.tour import tour_figure
-from sgvf_drake.experiments.flight_log import FORCE_COLUMNS
-from sgvf_drake.experiments.fly import TAKE_OFF_S
+from sgvf_drake.experiments.figures.runs import tour_figure
+from sgvf_drake.experiments.flight import FORCE_COLUMNS, TAKE_OFF_S, Feasibility
 from sgvf_drake.experiments.tour import TourResult, fly_tour
 from sgvf_drake.experiments.workbench import Row, Workbench
 from sgvf_drake.fields import load_field
@@ -91,8 +89,8 @@ def measure_flight(trial: FlightTrial, folder: Path) -> Row:
             field,
             path,
             trial.tour,
-            trial.speed,
-            trial.laps,
+            speed=trial.speed,
+            laps=trial.laps,
             sensors=SensorParameters(),
             seed=trial.seed,
         )

@@ -25,8 +25,7 @@ from sgvf_drake.experiments.figures.singularities import (
 from sgvf_drake.experiments.singularities import singularity_summary, zero_rows
 from sgvf_drake.experiments.workbench import Row, Workbench
 from sgvf_drake.fields import GuidingField, ScoreField, load_field
-from sgvf_drake.lyapunov import Singularities, find_singularities, measure_vanishing
-from sgvf_drake.lyapunov.surroundings import NEAR_PATH
+from sgvf_drake.lyapunov import NEAR_PATH, Singularities, find_singularities, measure_vanishing
 from sgvf_drake.paper.claims import Claim, Count, Figures, Rows, Verdict, every
 from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
 from sgvf_drake.paper.intervals import interval_columns

@@ -14,7 +14,6 @@ from PIL import Image
 import pytest
 
 from sgvf_drake.experiments import run_reproduce
-from sgvf_drake.paper.intervals import interval_columns
 from sgvf_drake.experiments.report import build_page
 from sgvf_drake.experiments.report.numbers import (
     cell_text,
@@ -24,6 +23,7 @@ from sgvf_drake.experiments.report.numbers import (
 )
 from sgvf_drake.experiments.report.pictures import embed, embed_thumbnail
 from sgvf_drake.experiments.report.tables import read_table, view_table
+from sgvf_drake.paper.intervals import interval_columns
 
 NASTY = "a <b> & \"c\" 'd' {{ e }} </script>"
 

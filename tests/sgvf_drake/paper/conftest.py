@@ -1,21 +1,13 @@
-<<<<<<< HEAD
-"""Fields in closed form that follow rings, and rows as they are stored."""
-
-import json
-
-=======
-"""What the tests of several experiments share."""
+"""What the tests of the paper's experiments share: rings, stored rows, drawn figures."""
 
 import json
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
->>>>>>> wt-paper2
 import numpy as np
 import pandas as pd
 import pytest
 
 from sgvf_drake.experiments.results import plain
-<<<<<<< HEAD
 from sgvf_drake.fields import (
     GaussianMixture,
     GuidingField,
@@ -52,23 +44,21 @@ def turning(angle=0.0):
 
 def stored(rows):
     """Rows of trials after a round trip through JSON, as a reproduction stores them."""
-    return {
-        name: pd.DataFrame(
-            json.loads(json.dumps(plain(table.drop(columns=FOLDER).to_dict("records"))))
-        )
-=======
-
-
-def stored(rows):
-    """The rows of trials as they are read from a store: JSON values, and no folders."""
+    tables = {name: table.drop(columns=FOLDER, errors="ignore") for name, table in rows.items()}
     return {
         name: pd.DataFrame(json.loads(json.dumps(plain(table.to_dict("records")))))
->>>>>>> wt-paper2
-        for name, table in rows.items()
+        for name, table in tables.items()
     }
 
 
-<<<<<<< HEAD
+def ink(figure):
+    """The part of a figure that is drawn upon."""
+    figure.set_dpi(50)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return (np.asarray(canvas.buffer_rgba())[..., :3] < 230).any(axis=2).mean()
+
+
 @pytest.fixture(scope="session")
 def make_linear_field():
     """Makes fields: (cloud, matrix, recipe="paper", gain=0.2); see `linear_field`."""
@@ -90,13 +80,8 @@ def check_stored_rows():
         assert kind.findings(again) == kind.findings(rows)
         for now, before in zip(kind.tables(again), kind.tables(rows), strict=True):
             pd.testing.assert_frame_equal(now.content, before.content, check_dtype=False)
-=======
-def ink(figure):
-    """The part of a figure that is drawn upon."""
-    figure.set_dpi(50)
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    return (np.asarray(canvas.buffer_rgba())[..., :3] < 230).any(axis=2).mean()
+
+    return check
 
 
 @pytest.fixture
@@ -114,6 +99,5 @@ def check_outcome():
         assert experiment.findings(rows) == outcome.claims
         for name, log in experiment.logs(rows).items():
             pd.testing.assert_frame_equal(outcome.logs[name], log)
->>>>>>> wt-paper2
 
     return check

@@ -135,7 +135,9 @@ def test_a_small_run_shares_the_score_where_it_may(tmp_path, monkeypatch, check_
     check_stored_rows(kind, {FIELDS: outcome.rows[FIELDS].assign(**{FOLDER: ""})})
 
     (folder,) = tmp_path.glob("measure_*")
-    fields = {name: load_field(folder / f"{name}.safetensors") for name in (COMPLETE, *variants)}
+    fields = {
+        name: load_field(folder / f"{name}.safetensors") for name in (COMPLETE, *variants)
+    }
     complete, without = fields[COMPLETE], fields[NO_PROJECTION]
     x = complete.cloud.points
     same = {name: np.array_equal(fields[name].score(x), complete.score(x)) for name in variants}

@@ -9,7 +9,7 @@ import pytest
 from sgvf_drake import learning
 from sgvf_drake.experiments.workbench import Workbench
 from sgvf_drake.fields import ParametricField
-from sgvf_drake.lyapunov.surroundings import NEAR_PATH
+from sgvf_drake.lyapunov import NEAR_PATH
 from sgvf_drake.paper.claims import Verdict
 from sgvf_drake.paper.parametric import chi, flow, least_chi, parametric_fields
 from sgvf_drake.paper.vanishing import FIELDS, PARAMETRIC, ScoreVanishing, region_indices
