@@ -212,7 +212,7 @@ class FakeScenarios:
 @contextmanager
 def fake_scenarios_in(folder):
     """Has the scenarios of a folder in place of the package's; see `FakeScenarios.write`."""
-    from sgvf_drake.experiments import scenario
+    from sgvf_drake.paper import scenario
 
     MEASURED.clear()
     kinds = scenario.NoExperiment | FakeExperiment

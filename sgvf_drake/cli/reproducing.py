@@ -23,8 +23,8 @@ def reproduce(
     overwrite: Overwrite = False,
 ) -> None:
     """Run every experiment of the paper into one report; goes on where it was interrupted."""
-    from sgvf_drake.experiments import run_reproduce
-    from sgvf_drake.experiments.reproduction import REPORT, Status
+    from sgvf_drake.paper import run_reproduce
+    from sgvf_drake.paper.reproduce import REPORT, Status
 
     with progress() as report:
         summary = run_reproduce(

@@ -31,7 +31,7 @@ def run(
     overwrite: Overwrite = False,
 ) -> None:
     """Run an experiment of the paper; trials that are finished in --out are kept."""
-    from sgvf_drake.experiments import load_scenario, run_scenario
+    from sgvf_drake.paper import load_scenario, run_scenario
 
     loaded = load_scenario(scenario, override or (), setting or ())
     with progress() as report:
@@ -44,7 +44,7 @@ def run(
 @app.command()
 def scenarios() -> None:
     """List the experiments of the paper."""
-    from sgvf_drake.experiments import load_scenario, override_names, scenario_names
+    from sgvf_drake.paper import load_scenario, override_names, scenario_names
 
     listed = {}
     for name in scenario_names():

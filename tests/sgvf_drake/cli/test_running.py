@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from sgvf_drake.experiments import load_scenario, scenario_names
+from sgvf_drake.paper import load_scenario, scenario_names
 
 
 def summary_of(folder):

@@ -11,7 +11,7 @@ import pytest
 
 from sgvf_drake import learning
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.experiments import load_scenario, run_scenario
+from sgvf_drake.paper import load_scenario, run_scenario
 from sgvf_drake.experiments.outcome import Verdict
 from sgvf_drake.experiments.paper.corners import trials as corners_trials
 from sgvf_drake.experiments.paper.corners.claims import corner_claims

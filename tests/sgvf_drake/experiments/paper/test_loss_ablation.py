@@ -20,8 +20,8 @@ from sgvf_drake.experiments.paper.loss_ablation.trials import (
     NO_UNIT,
     VARIANTS,
 )
-from sgvf_drake.experiments.running import run_scenario
-from sgvf_drake.experiments.scenario import Scenario
+from sgvf_drake.paper.running import run_scenario
+from sgvf_drake.paper.scenario import Scenario
 from sgvf_drake.experiments.workbench import Workbench
 from sgvf_drake.fields import (
     GaussianMixture,

@@ -24,8 +24,8 @@ from sgvf_drake.experiments.paper.recipe_ablation.trials import (
     NOISY_TARGET,
     VARIANTS,
 )
-from sgvf_drake.experiments.running import run_scenario
-from sgvf_drake.experiments.scenario import Scenario
+from sgvf_drake.paper.running import run_scenario
+from sgvf_drake.paper.scenario import Scenario
 from sgvf_drake.experiments.workbench import Workbench
 from sgvf_drake.fields import load_field
 

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from sgvf_drake.experiments import load_scenario, run_scenario
+from sgvf_drake.paper import load_scenario, run_scenario
 from sgvf_drake.experiments.outcome import Verdict
 from sgvf_drake.experiments.paper.vanishing import trials as vanishing_trials
 from sgvf_drake.experiments.paper.vanishing.claims import vanishing_claims

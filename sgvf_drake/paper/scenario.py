@@ -20,7 +20,7 @@ from sgvf_drake.experiments.workbench import Workbench
 BASE = "scenario"
 """The part of a file that is complete; every other part is a named override of it."""
 
-_PACKAGED = Path(str(files("sgvf_drake") / "scenarios"))
+_PACKAGED = Path(str(files("sgvf_drake.paper") / "scenarios"))
 _Kind: Any = reduce(operator.or_, KINDS, NoExperiment)
 
 

@@ -1,7 +1,6 @@
 """Runs a scenario into a folder: tables, logs, figures, and what they come from."""
 
 from collections.abc import Mapping, Sequence
-import inspect
 import json
 from os import PathLike
 from pathlib import Path
@@ -22,8 +21,8 @@ from sgvf_drake.experiments.results import (
     save_figure,
     write_summary,
 )
-from sgvf_drake.experiments.scenario import Scenario
 from sgvf_drake.experiments.workbench import Workbench
+from sgvf_drake.paper.scenario import Scenario
 from sgvf_drake.progress import Progress, no_progress
 
 SCENARIO_FILE = "scenario.yaml"
@@ -58,9 +57,9 @@ def run_scenario(
         The summary.
 
     Raises:
-        OutputExistsError: A file is in the way.  Where that is found after the work, the
+        OutputExistsError: If a file is in the way.  Where that is found after the work, the
             trials are kept.
-        ExperimentError: Trials failed.
+        ExperimentError: If trials failed.
     """
     out = Path(out)
     earlier = _earlier_names(out)
@@ -108,7 +107,7 @@ def is_result_of(summary: Mapping[str, Any], scenario: Scenario) -> bool:
 
 def _origin(scenario: Scenario) -> dict[str, Any]:
     """What a result follows from: the scenario as it is resolved, and the code."""
-    code = code_digest(Path(inspect.getfile(type(scenario.experiment))), drawing=True)
+    code = code_digest(type(scenario.experiment))
     return {**scenario.summary(), "version": sgvf_drake.__version__, "code": code}
 
 
