@@ -5,30 +5,23 @@ imports (Drake, torch, matplotlib) happen inside the commands, so that ``sgvf --
 a mistyped option answer at once.
 """
 
-# The help lists the commands in this order.
-from sgvf_drake.cli import training  # isort: skip
-from sgvf_drake.cli import importing  # isort: skip
-from sgvf_drake.cli import following  # isort: skip
-from sgvf_drake.cli import flying  # isort: skip
-from sgvf_drake.cli import verifying  # isort: skip
-from sgvf_drake.cli import certifying  # isort: skip
-from sgvf_drake.cli import singularities  # isort: skip
-from sgvf_drake.cli import demonstrating  # isort: skip
-from sgvf_drake.cli import running  # isort: skip
-from sgvf_drake.cli import reproducing  # isort: skip
+from importlib import import_module
+
 from sgvf_drake.cli.application import app, main
 
-__all__ = [
-    "app",
-    "certifying",
-    "demonstrating",
-    "flying",
-    "following",
-    "importing",
-    "main",
-    "reproducing",
-    "running",
-    "singularities",
+__all__ = ["app", "main"]
+
+# A module registers its commands when it is imported; the help lists them in this order.
+for _name in (
     "training",
+    "importing",
+    "following",
+    "flying",
     "verifying",
-]
+    "certifying",
+    "singularities",
+    "demonstrating",
+    "running",
+    "reproducing",
+):
+    import_module(f"{__name__}.{_name}")

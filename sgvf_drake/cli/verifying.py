@@ -1,6 +1,7 @@
 """The command that checks the Lyapunov conditions of a field: verify."""
 
-from typing import Annotated
+from collections.abc import Mapping
+from typing import Annotated, Any
 
 import typer
 
@@ -13,7 +14,7 @@ from sgvf_drake.cli.options import (
     ReferenceFile,
     columns_of,
 )
-from sgvf_drake.cli.tables import print_folder, print_verification
+from sgvf_drake.cli.tables import print_folder, print_table
 from sgvf_drake.exceptions import ConfigurationError
 
 
@@ -53,7 +54,57 @@ def verify(
             overwrite=overwrite,
             progress=report,
         )
-    print_verification(summary)
+    _print_verification(summary)
     if not summary["holds"]:
         errors.print("warning: the conditions do not hold", style="bold red")
     print_folder(out)
+
+
+def _print_verification(summary: Mapping[str, Any]) -> None:
+    """Prints the summary of a verification."""
+    U, eps = summary["unit_length"], summary["assumptions"]["a2_cosine"]
+    rows = {
+        "sampled conditions": "hold" if summary["holds"] else "do NOT hold",
+        "because": summary["reason"],
+        "|cos(s, v)|": f"mean {eps['mean']:.3g}, 95 % {eps['q95']:.3g}, max {eps['max']:.3g}",
+        "V decreases on": f"{summary['decrease_fraction']:.1%} of the box",
+    }
+    if summary["c_in"] is not None:
+        rows |= {
+            "sigma of V": f"{summary['sigma'] / U:.3g} U",
+            "band of V": f"{summary['c_in']:.3g} to {summary['c_out']:.3g}",
+            "tube, basin": (
+                f"half-width {summary['tube_half_width'] / U:.3g} U, "
+                f"{summary['area_fraction']:.0%} of the box"
+            ),
+            "tolerated disturbance": (
+                f"{summary['e_star_min']:.3g} to {summary['e_star_max']:.3g} of the speed, "
+                "by the level"
+            ),
+            "followed": _followed(summary["theorem"]["decrease"]),
+        }
+    for name, bound in summary["bounds"].items():
+        rows[f"bound, {name}"] = f"holds on {bound['holds_fraction']:.1%} of the box"
+    if summary["flight"] is not None:
+        rows["velocity error in flight"] = _tracking(summary["flight"])
+    print_table("Verification", rows)
+
+
+def _followed(decrease: Mapping[str, Any]) -> str:
+    if decrease["exit"] is not None:
+        return str(decrease["exit"])
+    entered, stayed = decrease["entered_fraction"], decrease["stayed_fraction"]
+    return f"of {decrease['starts']} starts {entered:.0%} enter the tube, {stayed:.0%} stay"
+
+
+def _tracking(flight: Mapping[str, Any]) -> str:
+    if flight["band"] is None:
+        return "V decreases on no band along the field as it is flown"
+    exits = [piece["exit"] for piece in flight["pieces"] if piece["exit"] is not None]
+    if exits:
+        return str(exits[0])
+    error, tolerated = flight["tracking_error_max_m_s"], flight["tolerated_error_m_s"]
+    if error is None:
+        return "not every flight settled in the tube"
+    verdict = "within" if flight["covered"] else "NOT within"
+    return f"{error:.3g} m/s, {verdict} the {tolerated:.3g} m/s that V tolerates"

@@ -31,7 +31,9 @@ def code_digest(*roots: Any) -> str:
     names: dict[Path, set[str]] = {}
     for root in roots:
         # What is defined inside of a function counts with all of that function.
-        names.setdefault(Path(inspect.getfile(root)), set()).add(root.__qualname__.split(".")[0])
+        names.setdefault(Path(inspect.getfile(root)), set()).add(
+            root.__qualname__.split(".")[0]
+        )
     own = {file: _code_of(file, frozenset(of_file)) for file, of_file in names.items()}
     imported: dict[Path, _Code] = {}
     new = {file for code in own.values() for file in code.imports}
@@ -89,14 +91,14 @@ class _Stripped(ast.NodeTransformer):
 
     in_class = False
 
-    def visit_Expr(self, node: ast.Expr) -> ast.AST | None:  # noqa: N802
+    def visit_Expr(self, node: ast.Expr) -> ast.AST | None:
         text = isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
         return None if text else self.generic_visit(node)
 
-    def visit_ClassDef(self, node: ast.ClassDef) -> ast.AST:  # noqa: N802
+    def visit_ClassDef(self, node: ast.ClassDef) -> ast.AST:
         return self._inside(node, in_class=True)
 
-    def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST:  # noqa: N802
+    def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST:
         node.returns = None
         return self._inside(node, in_class=False)
 
@@ -104,7 +106,7 @@ class _Stripped(ast.NodeTransformer):
         node.annotation = None
         return node
 
-    def visit_AnnAssign(self, node: ast.AnnAssign) -> ast.AST | None:  # noqa: N802
+    def visit_AnnAssign(self, node: ast.AnnAssign) -> ast.AST | None:
         if self.in_class:
             return self.generic_visit(node)
         if node.value is None:

@@ -114,8 +114,6 @@ class TrialStore:
         text = json.dumps(plain(row), allow_nan=False)
         target = self.folder / key.folder
         with self._database() as database:
-            # In one step, since another process may end the same trial now.
-            database.execute("BEGIN IMMEDIATE")
             known = database.execute(_FIND, (key.measure, key.trial, key.code)).fetchone()
             if known is None or known[0] != key.code or not target.is_dir():
                 # Of a process that was killed between its files and its row.
@@ -123,17 +121,18 @@ class TrialStore:
                 os.replace(files, target)
                 values = (key.measure, key.trial, key.code, text, elapsed_s)
                 database.execute(_PUT, values)
-            database.execute("COMMIT")
 
     @contextmanager
     def _database(self) -> Iterator[sqlite3.Connection]:
+        """Gives the file of rows to this process alone, until it is done or fails."""
         file = self.folder / ROWS
         try:
-            # Every statement is a transaction of its own, unless one is begun.
-            database = sqlite3.connect(file, timeout=PATIENCE_S, isolation_level=None)
-            with closing(database):
+            with closing(sqlite3.connect(file, PATIENCE_S, isolation_level=None)) as database:
+                # At once: who asks for it only when it writes may be refused without waiting.
+                database.execute("BEGIN IMMEDIATE")
                 database.execute(_TABLE)
                 yield database
+                database.execute("COMMIT")
         except sqlite3.Error as error:
             raise ExperimentError(f"cannot use the stored trials in {file}: {error}") from None
 

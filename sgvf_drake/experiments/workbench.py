@@ -195,4 +195,5 @@ def _key(measure: Measure, trial: Any) -> Key:
 
 def _code(measure: Measure, trial: Any) -> str:
     # The class of the trial may compute what is not among its values.
-    return code_digest(measure, type(trial))
+    kind: Any = type(trial)
+    return code_digest(measure, kind)

@@ -62,7 +62,7 @@ def run_scenario(
         ExperimentError: If trials failed.
     """
     out = Path(out)
-    earlier = _earlier_names(out)
+    _, earlier = _stored(out)
     own = earlier if resume else []
     check_results(out, _without([SUMMARY, SCENARIO_FILE], own), overwrite=overwrite)
     begin = time.perf_counter()
@@ -92,12 +92,8 @@ def run_scenario(
 
 def stored_summary(out: Path) -> dict[str, Any] | None:
     """Returns the summary of a result that is whole, else None."""
-    try:
-        summary: dict[str, Any] = json.loads((out / SUMMARY).read_text(encoding="utf-8"))
-        whole = all((out / name).is_file() for name in _result_names(summary))
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
-    return summary if whole else None
+    summary, names = _stored(out)
+    return summary if names and all((out / name).is_file() for name in names) else None
 
 
 def is_result_of(summary: Mapping[str, Any], scenario: Scenario) -> bool:
@@ -107,8 +103,8 @@ def is_result_of(summary: Mapping[str, Any], scenario: Scenario) -> bool:
 
 def _origin(scenario: Scenario) -> dict[str, Any]:
     """What a result follows from: the scenario as it is resolved, and the code."""
-    code = code_digest(type(scenario.experiment))
-    return {**scenario.summary(), "version": sgvf_drake.__version__, "code": code}
+    kind: Any = type(scenario.experiment)
+    return {**scenario.summary(), "version": sgvf_drake.__version__, "code": code_digest(kind)}
 
 
 def _entry(exhibit: Exhibit) -> dict[str, str]:
@@ -116,19 +112,20 @@ def _entry(exhibit: Exhibit) -> dict[str, str]:
     return {"file": f"{exhibit.name}.{suffix}", "caption": exhibit.caption}
 
 
+def _stored(out: Path) -> tuple[dict[str, Any], list[str]]:
+    """The summary of an earlier run in a folder, and its files there; empty if none can be read."""
+    try:
+        summary: dict[str, Any] = json.loads((out / SUMMARY).read_text(encoding="utf-8"))
+        names = _result_names(summary)
+    except (OSError, ValueError, KeyError, TypeError):
+        return {}, []
+    # Of this folder, whatever a summary says.
+    return summary, [name for name in names if Path(name).name == name]
+
+
 def _result_names(summary: Mapping[str, Any]) -> list[str]:
     exhibits = [entry["file"] for entry in summary["exhibits"]]
     return [SUMMARY, SCENARIO_FILE, *exhibits, *summary["logs"]]
-
-
-def _earlier_names(out: Path) -> list[str]:
-    """The files of an earlier run in this folder, which are replaced or go."""
-    try:
-        names = _result_names(json.loads((out / SUMMARY).read_text(encoding="utf-8")))
-    except (OSError, ValueError, KeyError, TypeError):
-        return []
-    # Of this folder, whatever a summary says.
-    return [name for name in names if Path(name).name == name]
 
 
 def _without(names: Sequence[str], own: Sequence[str]) -> list[str]:

@@ -62,6 +62,7 @@ def view_table(table: pd.DataFrame) -> Table:
         cells.append(texts)
     return Table(columns, list(zip(*cells, strict=True)), intervals)
 
+
 def _part(name: str, table: pd.DataFrame) -> tuple[str, str | None]:
     """The name of the quantity and which part of its interval a column is, if of one."""
     for part in (MEAN, LOW, HIGH):

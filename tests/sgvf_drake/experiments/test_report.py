@@ -12,9 +12,6 @@ import numpy as np
 import pandas as pd
 from PIL import Image
 import pytest
-
-from sgvf_drake.experiments import run_reproduce
-from sgvf_drake.experiments.intervals import interval_columns
 from sgvf_drake.experiments.report import build_page
 from sgvf_drake.experiments.report.numbers import (
     cell_text,
@@ -24,6 +21,9 @@ from sgvf_drake.experiments.report.numbers import (
 )
 from sgvf_drake.experiments.report.pictures import embed, embed_thumbnail
 from sgvf_drake.experiments.report.tables import read_table, view_table
+
+from sgvf_drake.experiments import run_reproduce
+from sgvf_drake.experiments.intervals import interval_columns
 
 NASTY = "a <b> & \"c\" 'd' {{ e }} </script>"
 

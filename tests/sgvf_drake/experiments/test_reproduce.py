@@ -4,10 +4,10 @@ import json
 from pathlib import Path
 
 import pytest
+from sgvf_drake.experiments.reproduction import REPORT, Status
 
 from sgvf_drake.exceptions import ConfigurationError, OutputExistsError
 from sgvf_drake.experiments import load_scenario, run_reproduce, run_scenario, running
-from sgvf_drake.experiments.reproduction import REPORT, Status
 
 NAMES = ("alpha", "beta", "gamma")
 

@@ -6,10 +6,10 @@ from matplotlib.image import imread
 import numpy as np
 import pandas as pd
 import pytest
+from sgvf_drake.experiments.running import is_result_of, stored_summary
 
 from sgvf_drake.exceptions import ConfigurationError, ExperimentError, OutputExistsError
 from sgvf_drake.experiments import load_scenario, run_scenario, running
-from sgvf_drake.experiments.running import is_result_of, stored_summary
 
 FILES = {
     *("summary.json", "scenario.yaml", "squares.png", "squares_table.csv", "log.parquet"),

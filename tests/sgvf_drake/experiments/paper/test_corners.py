@@ -11,7 +11,6 @@ import pytest
 
 from sgvf_drake import learning
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.paper import load_scenario, run_scenario
 from sgvf_drake.experiments.outcome import Verdict
 from sgvf_drake.experiments.paper.corners import trials as corners_trials
 from sgvf_drake.experiments.paper.corners.claims import corner_claims
@@ -35,6 +34,7 @@ from sgvf_drake.experiments.paper.corners.trials import (
 from sgvf_drake.experiments.results import plain
 from sgvf_drake.experiments.workbench import Workbench
 from sgvf_drake.fields import GuidingField, Perceptron, RobustComposition, ScoreNetwork
+from sgvf_drake.paper import load_scenario, run_scenario
 from sgvf_drake.paths import PointCloud
 from sgvf_drake.paths.shapes import regular_polygon
 

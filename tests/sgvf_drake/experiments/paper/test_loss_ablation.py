@@ -20,8 +20,6 @@ from sgvf_drake.experiments.paper.loss_ablation.trials import (
     NO_UNIT,
     VARIANTS,
 )
-from sgvf_drake.paper.running import run_scenario
-from sgvf_drake.paper.scenario import Scenario
 from sgvf_drake.experiments.workbench import Workbench
 from sgvf_drake.fields import (
     GaussianMixture,
@@ -30,6 +28,8 @@ from sgvf_drake.fields import (
     Perceptron,
     load_field,
 )
+from sgvf_drake.paper.running import run_scenario
+from sgvf_drake.paper.scenario import Scenario
 from sgvf_drake.paths import PointCloud, shape_path
 
 RADIUS = 3.0

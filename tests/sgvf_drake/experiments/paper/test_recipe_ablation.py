@@ -24,10 +24,10 @@ from sgvf_drake.experiments.paper.recipe_ablation.trials import (
     NOISY_TARGET,
     VARIANTS,
 )
-from sgvf_drake.paper.running import run_scenario
-from sgvf_drake.paper.scenario import Scenario
 from sgvf_drake.experiments.workbench import Workbench
 from sgvf_drake.fields import load_field
+from sgvf_drake.paper.running import run_scenario
+from sgvf_drake.paper.scenario import Scenario
 
 SHAPES = ("concentric-circles", "star")
 

@@ -7,7 +7,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from sgvf_drake.paper import load_scenario, run_scenario
 from sgvf_drake.experiments.outcome import Verdict
 from sgvf_drake.experiments.paper.vanishing import trials as vanishing_trials
 from sgvf_drake.experiments.paper.vanishing.claims import vanishing_claims
@@ -21,6 +20,7 @@ from sgvf_drake.experiments.paper.vanishing.trials import (
     region_indices,
 )
 from sgvf_drake.fields import ParametricField
+from sgvf_drake.paper import load_scenario, run_scenario
 from sgvf_drake.paths import shape_path
 
 SIGMA = 0.1
