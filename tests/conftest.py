@@ -183,7 +183,8 @@ class FakeExperiment:
         from matplotlib.figure import Figure
         import pandas as pd
 
-        from sgvf_drake.experiments.outcome import Claim, Exhibit, Outcome, Verdict
+        from sgvf_drake.paper.claims import Finding, Verdict
+        from sgvf_drake.paper.experiment import Exhibit, Outcome
 
         trials = [FakeTrial(seed, self.size) for seed in self.seeds]
         records = bench.run(measure_fake, trials, "squaring")
@@ -192,7 +193,7 @@ class FakeExperiment:
         table = pd.DataFrame([record.row for record in records])
         figure = Figure(figsize=(4, 3))
         figure.subplots().plot(table["square"])
-        claim = Claim("grow", "Section IX", self.statement, Verdict(self.verdict), "They do.")
+        claim = Finding("grow", "Section IX", self.statement, Verdict(self.verdict), "They do.")
         return Outcome(
             [
                 Exhibit(self.exhibit, "How squares grow.", figure),
@@ -232,7 +233,7 @@ class FakeScenarios:
 @contextmanager
 def fake_scenarios_in(folder):
     """Has the scenarios of a folder in place of the package's; see `FakeScenarios.write`."""
-    from sgvf_drake.experiments import scenario
+    from sgvf_drake.paper import scenario
 
     MEASURED.clear()
     kinds = scenario.NoExperiment | FakeExperiment

@@ -225,7 +225,7 @@ def test_commands_parse(line):
 
 
 def test_scenarios_in_the_docs_are_scenarios(tmp_path):
-    from sgvf_drake.experiments import load_scenario, scenario_names
+    from sgvf_drake.paper import load_scenario, scenario_names
 
     (text,) = blocks("yaml")
     file = tmp_path / "scenario.yaml"

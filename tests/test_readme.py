@@ -120,11 +120,11 @@ def test_files_and_folders_are_those_of_the_project():
 
 def test_results_are_named_as_they_are_written():
     from sgvf_drake.experiments.importing import IMPORT_FILES
-    from sgvf_drake.experiments.reproduction import REPORT
-    from sgvf_drake.experiments.running import SCENARIO_FILE, TRIALS
     from sgvf_drake.experiments.runs import FOLLOW_FILES, TOUR_FILES, TRAIN_FILES
     from sgvf_drake.experiments.singularities import SINGULARITIES_FILES
     from sgvf_drake.experiments.verify import VERIFY_FILES
+    from sgvf_drake.paper.reproduce import REPORT
+    from sgvf_drake.paper.running import SCENARIO_FILE, TRIALS
 
     written = (
         *(*TRAIN_FILES, *FOLLOW_FILES, *TOUR_FILES),

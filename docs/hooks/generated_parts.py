@@ -54,7 +54,7 @@ def _notebooks(root: Path) -> str:
 def _scenarios(root: Path) -> str:
     """Returns a table of the scenarios, and of what the paper has them for."""
     rows = ["| scenario | shows | in the paper | overrides |", "|---|---|---|---|"]
-    for file in sorted((root / "sgvf_drake" / "scenarios").glob("*.yaml")):
+    for file in sorted((root / "sgvf_drake" / "paper" / "scenarios").glob("*.yaml")):
         # The base loader does not care for tags: their classes would import Drake.
         base, *overrides = (parts := yaml.load(file.read_text("utf-8"), yaml.BaseLoader))
         scenario, names = parts[base], ", ".join(f"`{name}`" for name in overrides)

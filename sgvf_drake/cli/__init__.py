@@ -5,20 +5,12 @@ imports (Drake, torch, matplotlib) happen inside the commands, so that ``sgvf --
 a mistyped option answer at once.
 """
 
-# The help lists the commands in this order.
-from sgvf_drake.cli import training  # isort: skip
-from sgvf_drake.cli import flying  # isort: skip
-from sgvf_drake.cli import checking  # isort: skip
-from sgvf_drake.cli import running  # isort: skip
-from sgvf_drake.cli import reproducing  # isort: skip
+from importlib import import_module
+
 from sgvf_drake.cli.application import app, main
 
-__all__ = [
-    "app",
-    "checking",
-    "flying",
-    "main",
-    "reproducing",
-    "running",
-    "training",
-]
+__all__ = ["app", "main"]
+
+# A module registers its commands when it is imported; the help lists them in this order.
+for _name in ("training", "flying", "checking", "running", "reproducing"):
+    import_module(f"{__name__}.{_name}")

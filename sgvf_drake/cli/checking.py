@@ -1,7 +1,9 @@
 """The commands that check a field: verify, certify and singularities."""
 
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -14,12 +16,7 @@ from sgvf_drake.cli.options import (
     ReferenceFile,
     columns_of,
 )
-from sgvf_drake.cli.tables import (
-    print_certificate,
-    print_folder,
-    print_singularities,
-    print_verification,
-)
+from sgvf_drake.cli.tables import print_folder, print_table
 from sgvf_drake.exceptions import ConfigurationError
 
 
@@ -59,10 +56,60 @@ def verify(
             overwrite=overwrite,
             progress=report,
         )
-    print_verification(summary)
+    _print_verification(summary)
     if not summary["holds"]:
         errors.print("warning: the conditions do not hold", style="bold red")
     print_folder(out)
+
+
+def _print_verification(summary: Mapping[str, Any]) -> None:
+    """Prints the summary of a verification."""
+    U, eps = summary["unit_length"], summary["assumptions"]["a2_cosine"]
+    rows = {
+        "sampled conditions": "hold" if summary["holds"] else "do NOT hold",
+        "because": summary["reason"],
+        "|cos(s, v)|": f"mean {eps['mean']:.3g}, 95 % {eps['q95']:.3g}, max {eps['max']:.3g}",
+        "V decreases on": f"{summary['decrease_fraction']:.1%} of the box",
+    }
+    if summary["c_in"] is not None:
+        rows |= {
+            "sigma of V": f"{summary['sigma'] / U:.3g} U",
+            "band of V": f"{summary['c_in']:.3g} to {summary['c_out']:.3g}",
+            "tube, basin": (
+                f"half-width {summary['tube_half_width'] / U:.3g} U, "
+                f"{summary['area_fraction']:.0%} of the box"
+            ),
+            "tolerated disturbance": (
+                f"{summary['e_star_min']:.3g} to {summary['e_star_max']:.3g} of the speed, "
+                "by the level"
+            ),
+            "followed": _followed(summary["theorem"]["decrease"]),
+        }
+    for name, bound in summary["bounds"].items():
+        rows[f"bound, {name}"] = f"holds on {bound['holds_fraction']:.1%} of the box"
+    if summary["flight"] is not None:
+        rows["velocity error in flight"] = _tracking(summary["flight"])
+    print_table("Verification", rows)
+
+
+def _followed(decrease: Mapping[str, Any]) -> str:
+    if decrease["exit"] is not None:
+        return str(decrease["exit"])
+    entered, stayed = decrease["entered_fraction"], decrease["stayed_fraction"]
+    return f"of {decrease['starts']} starts {entered:.0%} enter the tube, {stayed:.0%} stay"
+
+
+def _tracking(flight: Mapping[str, Any]) -> str:
+    if flight["band"] is None:
+        return "V decreases on no band along the field as it is flown"
+    exits = [piece["exit"] for piece in flight["pieces"] if piece["exit"] is not None]
+    if exits:
+        return str(exits[0])
+    error, tolerated = flight["tracking_error_max_m_s"], flight["tolerated_error_m_s"]
+    if error is None:
+        return "not every flight settled in the tube"
+    verdict = "within" if flight["covered"] else "NOT within"
+    return f"{error:.3g} m/s, {verdict} the {tolerated:.3g} m/s that V tolerates"
 
 
 @app.command()
@@ -97,10 +144,45 @@ def certify(
         summary = run_certify(
             loaded, path, out, claimed=certificate, overwrite=overwrite, progress=report
         )
-    print_certificate(summary)
+    _print_certificate(summary)
     print_folder(out)
     if not summary["certified"]:
         raise typer.Exit(FAILED)
+
+
+def _print_certificate(summary: Mapping[str, Any]) -> None:
+    """Prints the summary of a certificate."""
+    U = summary["unit_length"]
+    rows = {"certified": "yes" if summary["certified"] else "NO", "because": summary["reason"]}
+    if summary["c_in"] is not None:
+        rows["band of V"] = f"{summary['c_in']:.3g} to {summary['c_out']:.3g}"
+    if summary["sigma"] is not None:
+        pieces = summary["pieces"]
+        rows |= {
+            "sigma of V": f"{summary['sigma'] / U:.3g} U",
+            "tube, basin": (
+                f"half-width at most {summary['tube_half_width'] / U:.3g} U, "
+                f"at least {summary['area_fraction']:.0%} of the box"
+            ),
+            "closed orbits": ", ".join(_orbit(piece, U) for piece in pieces),
+            "V falls, |m|": (
+                f"by {summary['alpha'] * U:.3g} in each U, at least {summary['delta']:.3g}"
+            ),
+            "time to the tube": f"at most that for {summary['entry_time_bound'] / U:.3g} U",
+            "tolerated disturbance": f"up to {summary['e_star_max']:.3g} of the speed",
+        }
+    rows["squares, time"] = f"{summary['boxes']}, {summary['cpu_s']:.1f} s CPU"
+    print_table("Certificate", rows)
+
+
+def _orbit(piece: Mapping[str, Any], U: float) -> str:
+    if not piece["orbit_exists"]:
+        return "not proved"
+    known = "one" if piece["orbit_unique"] else "at least one"
+    if piece["lap_time_low"] is None:
+        return known
+    low, high = piece["lap_time_low"] / U, piece["lap_time_high"] / U
+    return f"{known}, a lap as long as {low:.3g} to {high:.3g} U take"
 
 
 @app.command()
@@ -120,5 +202,52 @@ def singularities(
     loaded = open_field(field)
     chosen = choose_reference(loaded, reference, columns_of(columns, reference, "--reference"))
     summary = run_singularities(loaded, chosen, out, prove=prove, overwrite=overwrite)
-    print_singularities(summary)
+    _print_singularities(summary)
     print_folder(out)
+
+
+def _print_singularities(summary: Mapping[str, Any]) -> None:
+    """Prints the summary of the singularities."""
+    prefixes = {"guiding": "", "score": "score_", "tangent": "tangent_"}
+    rows = {
+        f"zeros of the {name}{'' if name == 'score' else ' field'}": (
+            f"{_kinds(summary['zeros'], name)}; indices sum up to "
+            f"{summary[f'{prefix}index_sum']}, winding number "
+            f"{summary[f'{prefix}winding_number']}"
+        )
+        for name, prefix in prefixes.items()
+    }
+    for name, proof in summary.get("proved", {}).items():
+        rows[f"proved of the {name}"] = _proved(proof)
+    rows["undecided places"] = str(summary["undecided"])
+    claims = {
+        "low_density": "score vanishes at low density",
+        "low_density_off_path": "the same off the path",
+        "high_curvature": "score vanishes at high curvature",
+        "branches": "score vanishes near branches",
+    }
+    for claim, name in claims.items():
+        rows[name] = _concentration(summary["vanishing"][claim])
+    print_table("Singularities", rows)
+
+
+def _proved(proof: Mapping[str, Any]) -> str:
+    """Returns what is proved of the zeros of a field."""
+    count, undecided = len(proof["zeros"]), proof["undecided"]
+    others = "no others" if proof["complete"] else f"{undecided} squares undecided"
+    winding = proof["winding_number"]
+    turns = "winding number not proved" if winding is None else f"winding number {winding}"
+    return f"{count} enclosed, {others}; {turns}"
+
+
+def _kinds(zeros: Sequence[Mapping[str, Any]], field: str) -> str:
+    """Returns how many zeros of each kind a field has: "1 focus, 2 saddle"."""
+    counts = Counter(zero["kind"] for zero in zeros if zero["field"] == field)
+    return ", ".join(f"{count} {kind}" for kind, count in counts.items()) or "none"
+
+
+def _concentration(claim: Mapping[str, Any] | None) -> str:
+    if claim is None:
+        return "nothing to tell by"
+    verdict = "yes" if claim["holds"] else "no"
+    return f"{verdict} (probability {claim['probability']:.2f}; by chance 0.5)"

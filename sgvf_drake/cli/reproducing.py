@@ -1,12 +1,16 @@
 """The command for every experiment of the paper: reproduce."""
 
-from typing import Annotated
+from collections import Counter
+from collections.abc import Callable, Mapping
+from typing import Annotated, Any
 
+from rich.text import Text
 import typer
 
-from sgvf_drake.cli.application import FAILED, app, console, progress
-from sgvf_drake.cli.claims import print_reproduction
+from sgvf_drake.cli.application import FAILED, app, console, errors, progress
 from sgvf_drake.cli.options import Jobs, Out, Overwrite
+from sgvf_drake.cli.running import STYLES
+from sgvf_drake.cli.tables import print_columns
 
 
 @app.command()
@@ -23,8 +27,8 @@ def reproduce(
     overwrite: Overwrite = False,
 ) -> None:
     """Run every experiment of the paper into one report; goes on where it was interrupted."""
-    from sgvf_drake.experiments import run_reproduce
-    from sgvf_drake.experiments.reproduction import REPORT, Status
+    from sgvf_drake.paper import run_reproduce
+    from sgvf_drake.paper.reproduce import REPORT, Status
 
     with progress() as report:
         summary = run_reproduce(
@@ -35,7 +39,40 @@ def reproduce(
             overwrite=overwrite,
             progress=report,
         )
-    print_reproduction(summary)
+    _print_reproduction(summary)
     console.print(f"report in {out / REPORT}", markup=False, highlight=False, soft_wrap=True)
     if any(entry["status"] == Status.FAILED for entry in summary["scenarios"].values()):
         raise typer.Exit(FAILED)
+
+
+def _print_reproduction(summary: Mapping[str, Any]) -> None:
+    """Prints how far each scenario has come, with the errors of those that failed."""
+    scenarios = summary["scenarios"]
+
+    def status(name: str) -> Text:
+        text: str = scenarios[name]["status"]
+        return Text(text, style="red" if text == "failed" else "")
+
+    def count(verdict: str) -> Callable[[str], str]:
+        found = Counter(
+            claim["scenario"] for claim in summary["claims"] if claim["verdict"] == verdict
+        )
+        # Nothing where there are none.
+        return lambda name: str(found[name] or "")
+
+    def seconds(name: str) -> str:
+        time_s = scenarios[name]["trial_s"]
+        return "" if time_s is None else f"{time_s:.1f}"
+
+    columns = {
+        "scenario": str,
+        "": status,
+        **{verdict: count(verdict) for verdict in STYLES},
+        "trials, s": seconds,
+    }
+    print_columns("Reproduction", columns, scenarios, justify="right")
+    for name, entry in scenarios.items():
+        if entry["status"] == "failed":
+            text = f"{name} failed: {entry['error']}"
+            # Not as markup: a message may hold brackets.
+            errors.print(text, markup=False, style="bold red", soft_wrap=True)

@@ -1,13 +1,20 @@
 """The commands for one experiment: run and scenarios."""
 
-from typing import Annotated
+from collections.abc import Mapping
+from typing import Annotated, Any
 
+from rich.text import Text
 import typer
 
 from sgvf_drake.cli.application import app, progress
-from sgvf_drake.cli.claims import print_claims, print_exhibits, print_scenarios
 from sgvf_drake.cli.options import Jobs, Out, Overwrite
-from sgvf_drake.cli.tables import print_folder
+from sgvf_drake.cli.tables import print_columns, print_folder
+
+STYLES = {"holds": "green", "holds in part": "yellow", "does not hold": "red"}
+"""Of the verdicts."""
+
+# Without lines.
+PLAIN: dict[str, Any] = {"box": None, "padding": (0, 2, 0, 0)}
 
 
 @app.command()
@@ -31,23 +38,39 @@ def run(
     overwrite: Overwrite = False,
 ) -> None:
     """Run an experiment of the paper; trials that are finished in --out are kept."""
-    from sgvf_drake.experiments import load_scenario, run_scenario
+    from sgvf_drake.paper import load_scenario, run_scenario
 
     loaded = load_scenario(scenario, override or (), setting or ())
     with progress() as report:
         summary = run_scenario(loaded, out, jobs=jobs, overwrite=overwrite, progress=report)
-    print_claims(summary["claims"])
-    print_exhibits(summary)
+    if summary["claims"]:
+        columns = {
+            "verdict": _verdict,
+            "claim": lambda claim: f"{claim['statement']} ({claim['source']})",
+            "evidence": lambda claim: claim["evidence"],
+        }
+        print_columns("Claims", columns, summary["claims"], show_lines=True)
+    exhibits = {
+        "file": lambda exhibit: exhibit["file"],
+        "shows": lambda exhibit: Text(exhibit["caption"], style="dim"),
+    }
+    print_columns(None, exhibits, summary["exhibits"], show_header=False, **PLAIN)
     print_folder(out)
+
+
+def _verdict(claim: Mapping[str, Any]) -> Text:
+    return Text(claim["verdict"], style=STYLES[claim["verdict"]])
 
 
 @app.command()
 def scenarios() -> None:
     """List the experiments of the paper."""
-    from sgvf_drake.experiments import load_scenario, override_names, scenario_names
+    from sgvf_drake.paper import load_scenario, override_names, scenario_names
 
-    listed = {}
-    for name in scenario_names():
-        loaded = load_scenario(name)
-        listed[name] = (loaded.title, loaded.source, override_names(name))
-    print_scenarios(listed)
+    columns = {
+        "name": lambda name: name,
+        "shows": lambda name: load_scenario(name).title,
+        "in the paper": lambda name: load_scenario(name).source,
+        "overrides": lambda name: ", ".join(override_names(name)),
+    }
+    print_columns(None, columns, scenario_names(), **PLAIN)

@@ -15,8 +15,6 @@ from sgvf_drake.experiments.fly import FlightResult, fly
 from sgvf_drake.experiments.follow import FollowResult, follow
 from sgvf_drake.experiments.importing import run_import
 from sgvf_drake.experiments.reference import choose_reference, scale_reference
-from sgvf_drake.experiments.reproduce import run_reproduce
-from sgvf_drake.experiments.running import run_scenario
 from sgvf_drake.experiments.runs import (
     open_field,
     run_demo,
@@ -24,12 +22,6 @@ from sgvf_drake.experiments.runs import (
     run_follow,
     run_tour,
     run_train,
-)
-from sgvf_drake.experiments.scenario import (
-    Scenario,
-    load_scenario,
-    override_names,
-    scenario_names,
 )
 from sgvf_drake.experiments.scene import FlightScene, View
 from sgvf_drake.experiments.singularities import run_singularities
@@ -50,7 +42,6 @@ __all__ = [
     "FlightScene",
     "FlightSpec",
     "FollowResult",
-    "Scenario",
     "TourResult",
     "View",
     "as_flown",
@@ -64,23 +55,18 @@ __all__ = [
     "fly",
     "fly_tour",
     "follow",
-    "load_scenario",
     "log_density_figure",
     "open_field",
-    "override_names",
     "run_certify",
     "run_demo",
     "run_fly",
     "run_follow",
     "run_import",
-    "run_reproduce",
-    "run_scenario",
     "run_singularities",
     "run_tour",
     "run_train",
     "run_verify",
     "scale_reference",
-    "scenario_names",
     "simulate",
     "singularity_figure",
     "theorem_figure",

@@ -2,7 +2,10 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+import fcntl
+import glob
 import json
+import logging
 import math
 import os
 from pathlib import Path
@@ -18,6 +21,8 @@ from sgvf_drake.exceptions import ConfigurationError, OutputExistsError
 from sgvf_drake.fields import GuidingField
 
 SUMMARY = "summary.json"
+# Inside of a hidden folder: held by the process that works in it, for as long as it lives.
+LOCK = "lock"
 
 
 @contextmanager
@@ -40,28 +45,67 @@ def result_folder(
     out = Path(out)
     check_results(out, names, overwrite=overwrite)
     made = [folder for folder in out.parents if not folder.exists()]
+    remove_abandoned(out.parent, out.name)
     try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        # Beside the target, on the same file system: then a move is a rename.
-        temporary = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name}."))
-    except OSError as error:
-        raise ConfigurationError(f"cannot write to {out}: {error.strerror}") from None
-    try:
-        yield temporary
-        written = sorted(path.name for path in temporary.iterdir())
-        assert set(written) <= set(names), f"undeclared results {written}"
-        out.mkdir(exist_ok=True)
-        _move(temporary, out)
-        for stale in (out / name for name in set(names) - set(written)):
-            # Of an earlier run: it would stand beside results that it does not belong to.
-            if stale.is_file():
-                stale.unlink()
+        with hidden_folder(out.parent, out.name) as temporary:
+            yield temporary
+            written = sorted(path.name for path in temporary.iterdir())
+            assert set(written) <= set(names), f"undeclared results {written}"
+            out.mkdir(exist_ok=True)
+            _move(temporary, out)
+            for stale in (out / name for name in set(names) - set(written)):
+                # Of an earlier run: it would stand beside results that it does not belong to.
+                if stale.is_file():
+                    stale.unlink()
     finally:
-        shutil.rmtree(temporary, ignore_errors=True)
         # Innermost first; where there are results, the folders are not empty and stay.
         with suppress(OSError):
             for folder in made:
                 folder.rmdir()
+
+
+@contextmanager
+def hidden_folder(parent: Path, name: str) -> Iterator[Path]:
+    """Gives a folder to write to, hidden beside its target; it goes when the work ends.
+
+    Where the process is killed it stays, without a lock on it: see `remove_abandoned`.
+
+    Args:
+        parent: The folder that it is made in, so that a move to the target is a rename.
+        name: What the target is called.
+
+    Raises:
+        ConfigurationError: It cannot be made there.
+    """
+    try:
+        parent.mkdir(parents=True, exist_ok=True)
+        outer = Path(tempfile.mkdtemp(dir=parent, prefix=f".{name}."))
+    except OSError as error:
+        raise ConfigurationError(f"cannot write to {parent / name}: {error.strerror}") from None
+    try:
+        with (outer / "unlocked").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            # Under its name only now: nobody sees it without its lock.
+            (outer / "unlocked").rename(outer / LOCK)
+            # Inside of the outer one, which nobody else may read.
+            inner = outer / "files"
+            inner.mkdir()
+            yield inner
+    finally:
+        shutil.rmtree(outer, ignore_errors=True)
+
+
+def remove_abandoned(parent: Path, name: str) -> None:
+    """Removes what processes that were killed have left of `hidden_folder`, and says so."""
+    for folder in sorted(parent.glob(f".{glob.escape(name)}.*")):
+        try:
+            with (folder / LOCK).open("r+") as lock:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                shutil.rmtree(folder, ignore_errors=True)
+        except OSError:
+            # Its process is at work, or it is not one of ours.
+            continue
+        logging.getLogger(__name__).warning("removed %s, which a killed run had left", folder)
 
 
 def check_results(

@@ -1,46 +1,43 @@
 """Where the trials of experiments run: in parallel, each stored as it ends, none twice."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
 from functools import partial
-import hashlib
-import inspect
-import json
+import multiprocessing
 import os
 from pathlib import Path
-import shutil
-import tempfile
+import threading
 import time
 from typing import Any
 
-import sgvf_drake
 from sgvf_drake.exceptions import ConfigurationError, ExperimentError
 from sgvf_drake.experiments.measured_code import code_digest
-from sgvf_drake.experiments.processes import each_finished
-from sgvf_drake.experiments.results import plain
+from sgvf_drake.experiments.results import hidden_folder, remove_abandoned
+from sgvf_drake.experiments.store import Key, Record, Row, TrialStore, make_key
 from sgvf_drake.progress import Progress, no_progress
 
-ROW = "row.json"
-# Digits of the digest in the name of a trial's folder.
-KEY_DIGITS = 12
+# What the hidden folders are called in which trials run.
+HIDDEN = "trial"
 
-Row = dict[str, Any]
 Measure = Callable[[Any, Path], Row]
+
+__all__ = ["Ended", "Measure", "Record", "Row", "Workbench"]
 
 
 @dataclass(frozen=True, eq=False)
-class Record:
-    """A trial that has run.
+class Ended:
+    """A trial that has ended, now or in an earlier run.
 
     Attributes:
-        row: What it measured, as plain JSON values.
-        folder: The files that it left.
-        elapsed_s: How long it took, when it ran.
+        trial: What it was.
+        record: What came of it; None if it failed.
+        error: Why it failed, or its process died; None if it did not.
     """
 
-    row: Row
-    folder: Path
-    elapsed_s: float
+    trial: Any
+    record: Record | None
+    error: BaseException | None
 
 
 class Workbench:
@@ -48,23 +45,36 @@ class Workbench:
 
     A trial is a frozen dataclass of plain values; it is measured by a function of a module,
     ``measure(trial, folder) -> row``, which may leave files in the folder.  A stored record
-    counts as long as the trial, the function's module and the code under it are the same.
+    counts as long as the trial and the code under it are the same; comments and docstrings
+    are no part of the code.
 
     Args:
         store: The folder of the records; made when the first trial ends.
         jobs: Processes that measure at the same time; 1: this one.
         progress: Told how many trials of a stage have ended.
+        executor: Measures in place of processes of this machine; where it does so in others,
+            they see the same `store`.
+        any_code: Whether records of other code count as well.
 
     Raises:
-        ConfigurationError: There is no process to run them.
+        ConfigurationError: If there is no process to run them.
     """
 
-    def __init__(self, store: Path, jobs: int = 1, progress: Progress = no_progress) -> None:
+    def __init__(
+        self,
+        store: Path,
+        jobs: int = 1,
+        progress: Progress = no_progress,
+        *,
+        executor: Executor | None = None,
+        any_code: bool = False,
+    ) -> None:
         if jobs < 1:
             raise ConfigurationError(f"the number of jobs must be at least 1, not {jobs}")
-        self.store = store
+        self.store = TrialStore(store, any_code)
         self.jobs = jobs
         self.progress = progress
+        self.executor = executor
         self.trial_s = 0.0
         """Time of all trials asked for so far, those that were stored included."""
 
@@ -78,96 +88,112 @@ class Workbench:
             stage: What they are called where progress is shown.
 
         Raises:
-            ExperimentError: A trial failed; the others ran, and are stored.
+            ExperimentError: If a trial failed; the others ran, and are stored.
         """
-        todo = {
-            _key(measure, trial): trial
-            for trial in trials
-            if self._stored(measure, trial) is None
-        }
-        total = len({_key(measure, trial) for trial in trials})
-        done, failures = total - len(todo), []
-        self.progress(stage, done, total)
-        work = partial(_measure, measure, self.store, _code(measure))
-        for finished in each_finished(work, list(todo.values()), self.jobs):
-            done += 1
+        keys = [_key(measure, trial) for trial in trials]
+        total = len(set(keys))
+        records, failures = {}, []
+        self.progress(stage, 0, total)
+        for done, ended in enumerate(self.each(measure, trials), start=1):
             self.progress(stage, done, total)
-            if finished.error is not None:
-                failures.append(finished)
+            if ended.record is None:
+                failures.append(ended)
+            else:
+                records[_key(measure, ended.trial)] = ended.record
         if failures:
-            trial, error = failures[0].item, failures[0].error
+            trial, error = failures[0].trial, failures[0].error
             raise ExperimentError(
                 f"{len(failures)} of {total} trials of {stage} failed; the first, "
                 f"{trial}: {type(error).__name__}: {error}"
             ) from error
-        records = [self._stored(measure, trial) for trial in trials]
-        found = [record for record in records if record is not None]
-        assert len(found) == len(trials)
+        found = [records[key] for key in keys]
         self.trial_s += sum(record.elapsed_s for record in found)
         return found
 
-    def _stored(self, measure: Measure, trial: Any) -> Record | None:
-        folder = self.store / _key(measure, trial)
+    def each(self, measure: Measure, trials: Sequence[Any]) -> Iterator[Ended]:
+        """Gives each different trial when it has ended, those that are stored first."""
+        remove_abandoned(self.store.folder, HIDDEN)
+        todo = {}
+        for key, trial in {_key(measure, trial): trial for trial in trials}.items():
+            record = self.store.find(key)
+            if record is None:
+                todo[key] = trial
+            else:
+                yield Ended(trial, record, None)
+        for trial, error in self._work(measure, list(todo.values())):
+            record = None if error else self.store.find(_key(measure, trial))
+            yield Ended(trial, record, error)
+
+    def _work(
+        self, measure: Measure, trials: Sequence[Any]
+    ) -> Iterator[tuple[Any, BaseException | None]]:
+        """Measures trials and gives each when it ends, in their order with one job."""
+        work = partial(_measure, measure, self.store)
+        if self.executor is None and (self.jobs == 1 or len(trials) < 2):
+            for trial in trials:
+                yield trial, _error_of(work, trial, _code(measure, trial))
+            return
+        executor = self.executor or _processes(self.jobs)
         try:
-            stored = json.loads((folder / ROW).read_text(encoding="utf-8"))
-            if stored["identity"] != _identity(measure, trial):
-                return None
-            return Record(stored["row"], folder, stored["elapsed_s"])
-        except (OSError, ValueError, TypeError, KeyError):
-            return None
+            futures = {
+                executor.submit(work, trial, _code(measure, trial)): trial for trial in trials
+            }
+            for future in as_completed(futures):
+                yield futures[future], future.exception()
+        finally:
+            # One that was given is for others to end.
+            if self.executor is None:
+                executor.shutdown(cancel_futures=True)
 
 
-def _measure(measure: Measure, store: Path, code: str, trial: Any) -> None:
-    """Leaves a folder with the row and the files of a trial, whole or not at all.
+def _measure(measure: Measure, store: TrialStore, trial: Any, code: str) -> None:
+    """Stores the row and the files of a trial, whole or not at all.
 
     Raises:
-        ExperimentError: The code in this process is not that of the run.
+        ExperimentError: If the code in this process is not that of the run.
     """
     # Before the work: code that is edited meanwhile has no part in it.
-    identity = _identity(measure, trial)
-    if identity["code"] != code:
+    if _code(measure, trial) != code:
         raise ExperimentError("the code was changed while the trials ran; run them again")
-    store.mkdir(parents=True, exist_ok=True)
-    temporary = Path(tempfile.mkdtemp(dir=store, prefix="."))
-    # Inside of that one, which nobody else may read.
-    folder = temporary / "record"
-    folder.mkdir()
-    try:
+    with hidden_folder(store.folder, HIDDEN) as folder:
         begin = time.perf_counter()
         row = measure(trial, folder)
-        content = {
-            "identity": identity,
-            "row": plain(row),
-            "elapsed_s": time.perf_counter() - begin,
-        }
-        text = json.dumps(content, indent=2, allow_nan=False)
-        (folder / ROW).write_text(text + "\n", encoding="utf-8")
-        target = store / _key(measure, trial)
-        shutil.rmtree(target, ignore_errors=True)
-        os.replace(folder, target)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+        elapsed_s = time.perf_counter() - begin
+        store.put(make_key(measure, trial, code), row, folder, elapsed_s)
 
 
-def _name(measure: Measure) -> str:
-    return f"{measure.__module__}.{measure.__qualname__}"
+def _error_of(work: Callable[..., None], *arguments: Any) -> Exception | None:
+    try:
+        work(*arguments)
+    # Whatever one does wrong, the others are to run.
+    except Exception as error:
+        return error
+    return None
 
 
-def _key(measure: Measure, trial: Any) -> str:
-    content = json.dumps([_name(measure), plain(asdict(trial))], sort_keys=True)
-    digest = hashlib.sha256(content.encode()).hexdigest()[:KEY_DIGITS]
-    return f"{measure.__qualname__}-{digest}"
+def _processes(jobs: int) -> Executor:
+    # Spawned: a fork would copy the threads and locks of torch and Drake.
+    spawn = multiprocessing.get_context("spawn")
+    return ProcessPoolExecutor(jobs, mp_context=spawn, initializer=_end_with_parent)
 
 
-def _identity(measure: Measure, trial: Any) -> Row:
-    """What a stored record has to agree with, as plain JSON values."""
-    return {
-        "measure": _name(measure),
-        "trial": plain(asdict(trial)),
-        "version": sgvf_drake.__version__,
-        "code": _code(measure),
-    }
+def _end_with_parent() -> None:
+    """Has this process end with the one that started it, also where that one is killed."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def wait() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()
 
 
-def _code(measure: Measure) -> str:
-    return code_digest(Path(inspect.getfile(measure)))
+def _key(measure: Measure, trial: Any) -> Key:
+    return make_key(measure, trial, _code(measure, trial))
+
+
+def _code(measure: Measure, trial: Any) -> str:
+    # The class of the trial may compute what is not among its values.
+    kind: Any = type(trial)
+    return code_digest(measure, kind)

@@ -11,9 +11,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from sgvf_drake.experiments.paper.baselines.methods import CASES, METHODS, make_case
 from sgvf_drake.fields import GuidingField, ParametricField
 import sgvf_drake.learning  # noqa: F401 (torch, before the times are taken)
+from sgvf_drake.paper.methods import CASES, METHODS, make_case
 
 pytestmark = pytest.mark.benchmark
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from sgvf_drake.experiments import run_reproduce, scenario_names
+from sgvf_drake.paper import run_reproduce, scenario_names
 
 pytestmark = pytest.mark.benchmark
 

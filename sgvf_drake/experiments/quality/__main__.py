@@ -9,9 +9,8 @@ from rich.console import Console
 import typer
 
 from sgvf_drake.exceptions import SgvfError
-from sgvf_drake.experiments.quality.report import print_summary
-from sgvf_drake.experiments.quality.running import run_suite
-from sgvf_drake.experiments.quality.suites import Suite, suite_cases
+from sgvf_drake.experiments.quality.cases import Suite, suite_cases
+from sgvf_drake.experiments.quality.running import print_summary, run_suite
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 

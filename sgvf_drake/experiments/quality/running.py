@@ -1,37 +1,33 @@
-"""Running: every case once, its result stored, and the table of all of them."""
+"""Running: every case once, its row and figure stored, and the table of all of them."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
-from functools import partial
-import json
 from pathlib import Path
 import time
-import traceback
 from typing import Any
 
-from matplotlib.figure import Figure
 import pandas as pd
+from rich.console import Console
+from rich.table import Table
 
-import sgvf_drake
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments import clouds
 from sgvf_drake.experiments.figures import follow_figure
 from sgvf_drake.experiments.follow import PATIENCE, follow
-from sgvf_drake.experiments.measured_code import code_digest
-from sgvf_drake.experiments.processes import each_finished
-from sgvf_drake.experiments.quality.case import LABELS, Case
+from sgvf_drake.experiments.quality.cases import LABELS, Case
 from sgvf_drake.experiments.quality.measures import Row, failure, following, measure_score
-from sgvf_drake.experiments.results import SUMMARY, result_folder, save_figure, write_summary
+from sgvf_drake.experiments.results import result_folder, save_figure
+from sgvf_drake.experiments.workbench import Ended, Workbench
 from sgvf_drake.metrics import default_duration
 from sgvf_drake.progress import Progress, no_progress
 
-# Raised when this package measures something else under the name of a column.
-RESULTS_VERSION = 1
-# Digits of the digest of that code which a table shows.
+FIGURE = "follow.png"
+TRIALS = "trials"
+# Digits of the digest of the code which a table shows.
 CODE_DIGITS = 12
 
 TEXTS = (
-    *("name", "shape", "sampling", "recipe", "key"),
+    *("name", "shape", "sampling", "recipe", "key", "folder"),
     *("self_check_message", "failure", "error", "code"),
 )
 INTEGERS = ("seed", "starts", "num_points", "restarts")
@@ -42,17 +38,28 @@ MEASURES = (
 )
 COLUMNS = (
     *(*LABELS, "starts", "failure", *MEASURES, "num_points", "restarts"),
-    *("self_check_passed", "self_check_message", "error", "code", "key"),
+    *("self_check_passed", "self_check_message", "error", "code", "key", "folder"),
 )
+# What is printed of each column, of the worst case of a cloud: heading, which one, format.
+PRINTED = {
+    "lap": ("lap", "min", ".1%"),
+    "end": ("end", "min", ".1%"),
+    "rms_u": ("RMS", "max", ".4f"),
+    "max_u": ("max", "max", ".3f"),
+    "score_cosine": ("cosine", "min", ".3f"),
+    "score_bias_u": ("bias", "max", ".4f"),
+    "train_cpu_s": ("CPU s", "median", ".1f"),
+}
 
 
-def run_case(case: Case, folder: Path) -> Row:
-    """Trains, follows and measures; leaves `KEY.json` and `KEY.png`, whole or not at all.
+def measure_case(case: Case, folder: Path) -> Row:
+    """Trains, follows and measures; leaves the figure of following.
 
     Returns:
-        The row of the table; fractions of starts, lengths in U where the name ends in `_u`.
+        What is measured, fractions of starts, lengths in U where the name ends in `_u`; and
+        the settings and the self-check of the training.
     """
-    # Imported here: the table of finished cases does without torch.
+    # Imported here: the table of finished cases does not need torch.
     from sgvf_drake.learning import TrainingConfig, train
 
     begin = time.perf_counter()
@@ -62,8 +69,8 @@ def run_case(case: Case, folder: Path) -> Row:
     field = result.field
     duration = PATIENCE.get(case.recipe, 1.0) * default_duration(reference, cloud.unit_length)
     run = follow(field, reference, case.starts, duration)
+    save_figure(follow_figure(field, run), folder / FIGURE)
     row = {
-        **_labels(case),
         "num_points": cloud.num_points,
         "unit_length": cloud.unit_length,
         "sigma_u": field.sigma,
@@ -74,12 +81,9 @@ def run_case(case: Case, folder: Path) -> Row:
         "self_check_passed": result.self_check.passed,
         "self_check_message": result.self_check.message,
         "wall_s": time.perf_counter() - begin,
-        "error": None,
     }
-    row["failure"] = failure(row)
     details = {"settings": asdict(result.settings), "self_check": asdict(result.self_check)}
-    _write(case, row, folder, details, follow_figure(field, run))
-    return row
+    return {**row, "failure": failure(row), **details}
 
 
 def run_suite(
@@ -92,59 +96,48 @@ def run_suite(
 ) -> pd.DataFrame:
     """Runs the cases that are not finished, and saves `table.csv` and `table.parquet`.
 
-    A case is finished if its files are there, for the same fields of the case, from the same
-    code.  A case that raises becomes a row with the text of its error, and runs again the
-    next time.
+    A case that raises becomes a row with the text of its error, and runs again the next time.
 
     Args:
         cases: The cases; their keys differ.
-        folder: The folder of the results.
+        folder: The folder of the results, with a folder in `trials` for each case.
         progress: Told of every case as it ends: its key with what it falls short in, how
             many have ended, and how many there are.
         jobs: Processes that run cases at the same time; 1: this one.
-        any_code: Whether results of other code count as well.
+        any_code: Whether finished cases of other code count as well.
 
     Returns:
         One row a case, sorted by `LABELS`.
 
     Raises:
-        ConfigurationError: Two cases have the same key, or there is no process to run them.
+        ConfigurationError: If two cases have the same key, or there is no process to run them.
     """
     cases = list(cases)
-    _check_suite(cases, jobs)
-    folder.mkdir(parents=True, exist_ok=True)
-    stored = {case.key: finished_row(case, folder, any_code=any_code) for case in cases}
-    rows = {key: row for key, row in stored.items() if row is not None}
-    if rows:
-        progress("finished before", len(rows), len(cases))
-    todo = [case for case in cases if case.key not in rows]
-    for finished in each_finished(partial(run_case, folder=folder), todo, jobs):
-        case, row = finished.item, finished.result
-        if finished.error is not None:
-            row = _record(finished.error, case, folder)
-        assert row is not None
-        rows[case.key] = row
-        progress(f"{case.key}: {row['failure'] or 'ok'}", len(rows), len(cases))
-    table = make_table(rows.values())
+    keys = [case.key for case in cases]
+    twice = sorted({key for key in keys if keys.count(key) > 1})
+    if twice:
+        raise ConfigurationError(f"several cases have the key {twice[0]}")
+    bench = Workbench(folder / TRIALS, jobs, any_code=any_code)
+    rows = []
+    for ended in bench.each(measure_case, cases):
+        rows.append(_row(ended))
+        key, failed = ended.trial.key, rows[-1]["failure"]
+        progress(f"{key}: {failed or 'ok'}", len(rows), len(cases))
+    table = make_table(rows)
     with result_folder(folder, ("table.csv", "table.parquet"), overwrite=True) as temporary:
         table.to_csv(temporary / "table.csv", index=False)
         table.to_parquet(temporary / "table.parquet", index=False)
     return table
 
 
-def finished_row(case: Case, folder: Path, *, any_code: bool = False) -> Row | None:
-    """Returns the row of a case that was finished in this folder, else None."""
-    try:
-        stored = json.loads((folder / f"{case.key}.json").read_text(encoding="utf-8"))
-        identity, row = stored["identity"], stored["row"]
-        if row["error"] is not None or not (folder / f"{case.key}.png").is_file():
-            return None
-    except (OSError, ValueError, TypeError, KeyError):
-        return None
-    expected = _identity(case)
-    if any_code:
-        expected["code"] = identity.get("code")
-    return row if identity == expected else None
+def _row(ended: Ended) -> Row:
+    labels: Row = ended.trial.labels
+    if ended.record is None:
+        text = f"{type(ended.error).__name__}: {ended.error}"
+        return {**labels, "error": text, "failure": text}
+    record = ended.record
+    place = {"code": record.code[:CODE_DIGITS], "folder": f"{TRIALS}/{record.folder.name}"}
+    return {**labels, **record.row, **place}
 
 
 def make_table(rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
@@ -156,49 +149,26 @@ def make_table(rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
     return table.sort_values(list(LABELS), ignore_index=True)
 
 
-def _check_suite(cases: Sequence[Case], jobs: int) -> None:
-    keys = [case.key for case in cases]
-    twice = sorted({key for key in keys if keys.count(key) > 1})
-    if twice:
-        raise ConfigurationError(f"several cases have the key {twice[0]}")
-    if jobs < 1:
-        raise ConfigurationError(f"the number of jobs must be at least 1, not {jobs}")
-
-
-def _record(error: BaseException, case: Case, folder: Path) -> Row:
-    text = f"{type(error).__name__}: {error}"
-    row = {**_labels(case), "error": text, "failure": text}
-    # Not the figure of an earlier result beside an error.
-    (folder / f"{case.key}.png").unlink(missing_ok=True)
-    _write(case, row, folder, {"traceback": traceback.format_exception(error)})
-    return row
-
-
-def _labels(case: Case) -> Row:
-    return {**case.labels, "code": code_digest()[:CODE_DIGITS]}
-
-
-def _write(
-    case: Case,
-    row: Row,
-    folder: Path,
-    details: Mapping[str, Any],
-    figure: Figure | None = None,
-) -> None:
-    names = (f"{case.key}.json", f"{case.key}.png")
-    content = {"identity": _identity(case), "row": row, **details}
-    with result_folder(folder, names, overwrite=True) as temporary:
-        if figure is not None:
-            save_figure(figure, temporary / names[1])
-        write_summary(temporary, content)
-        (temporary / SUMMARY).rename(temporary / names[0])
-
-
-def _identity(case: Case) -> dict[str, Any]:
-    """What a stored result has to agree with, as plain JSON values."""
-    return {
-        **case.identity(),
-        "results": RESULTS_VERSION,
-        "version": sgvf_drake.__version__,
-        "code": code_digest(),
-    }
+def print_summary(table: pd.DataFrame, console: Console) -> None:
+    """Prints what failed, with its message, and then the worst of each group of cases."""
+    failed = table[table["failure"].notna()]
+    headline = f"{len(failed)} of {len(table)} cases fall short"
+    console.print(headline, style="bold red" if len(failed) else "bold green")
+    for key, message in zip(failed["key"], failed["failure"], strict=True):
+        # Not as markup: a message may hold brackets.
+        console.print(f"  {key}: {message}", markup=False, highlight=False, soft_wrap=True)
+    if table["code"].nunique() > 1:
+        console.print("these are results of several versions of the code", style="bold red")
+    # Without lines, so that it fits in 80 columns.
+    title = "The worst of each cloud, lengths in U, and the median time"
+    printed = Table(title=title, title_justify="left", box=None, padding=(0, 1, 0, 0))
+    printed.add_column("cloud")
+    for heading in ("recipe", "good", *(heading for heading, _, _ in PRINTED.values())):
+        printed.add_column(heading, justify="right", no_wrap=True)
+    for labels, group in table.groupby(list(LABELS[:-1]), sort=False):
+        _, shape, sampling, recipe = map(str, labels)
+        good = f"{int(group['failure'].isna().sum())}/{len(group)}"
+        worst = ((group[name].agg(how), form) for name, (_, how, form) in PRINTED.items())
+        values = ["-" if pd.isna(value) else format(value, form) for value, form in worst]
+        printed.add_row(f"{shape} {sampling}", recipe, good, *values)
+    console.print(printed)

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from sgvf_drake.experiments import load_scenario, scenario_names
+from sgvf_drake.paper import load_scenario, scenario_names
 
 
 def summary_of(folder):
@@ -37,15 +37,11 @@ def test_finished_trials_are_kept(run, fake_scenarios, tmp_path):
     assert not (out / "squares.png").exists()
 
 
-def test_a_file_can_be_run(run, fake_scenarios, tmp_path):
-    path = fake_scenarios.write("alpha", size=8).rename(tmp_path / "mine.yaml")
-    assert run("run", path, "--out", tmp_path / "out") == 0
+def test_a_file_can_be_run_and_claims_are_not_markup(run, fake_scenarios, tmp_path, capsys):
+    statement = "It [bold]is[/bold] in [0, 1]."
+    path = fake_scenarios.write("alpha", size=8, statement=statement)
+    assert run("run", path.rename(tmp_path / "mine.yaml"), "--out", tmp_path / "out") == 0
     assert summary_of(tmp_path / "out")["options"]["size"] == 8
-
-
-def test_claims_are_not_markup(run, fake_scenarios, tmp_path, capsys):
-    fake_scenarios.write("alpha", statement="It [bold]is[/bold] in [0, 1].")
-    assert run("run", "alpha", "--out", tmp_path / "out") == 0
     assert "[bold]is[/bold]" in " ".join(capsys.readouterr().out.split())
 
 
@@ -83,17 +79,6 @@ def test_results_are_not_replaced_unasked(fake_scenarios, refused, tmp_path):
     assert (tmp_path / "summary.json").read_text() == "mine"
 
 
-def test_scenarios_are_listed(run, fake_scenarios, capsys):
-    fake_scenarios.write("alpha")
-    fake_scenarios.write("beta")
-    assert run("scenarios") == 0
-    _, *lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in lines] == ["alpha", "beta"]
-    assert "Title of beta" in lines[1]
-    assert "Fig. 9" in lines[1]
-    assert lines[1].rstrip().endswith("quick")
-
-
 def test_the_scenarios_of_the_package_are_listed(run, capsys):
     assert run("scenarios") == 0
     printed = capsys.readouterr().out
@@ -102,4 +87,6 @@ def test_the_scenarios_of_the_package_are_listed(run, capsys):
         assert f"\n{name} " in printed
         # The title is broken into lines beside the other columns.
         assert load_scenario(name).title.split()[0] in words
+    assert "Fig. 1, Section I" in printed
+    assert printed.count(" quick") == len(scenario_names())
     assert max(map(len, printed.splitlines())) <= 80

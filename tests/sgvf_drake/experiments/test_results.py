@@ -3,6 +3,9 @@
 import json
 import math
 import os
+import signal
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -38,7 +41,7 @@ def test_results_appear_when_they_are_whole(tmp_path):
         write(folder, "new")
         assert not out.exists()
         # On the same file system, where a move is a rename.
-        assert folder.parent == tmp_path
+        assert tmp_path in folder.parents
     expected = {"out": None, "out/data.csv": "new"}
     assert tree(tmp_path) == {**expected, "out/part": None, "out/part/inner.txt": "new"}
 
@@ -143,24 +146,12 @@ def test_overwriting_leaves_nothing_of_an_earlier_run(tmp_path):
     assert (tmp_path / "data.csv").read_text() == "new"
 
 
-def test_files_of_other_names_do_not_clash(tmp_path):
+def test_files_of_other_names_stay_in_the_current_folder(tmp_path, monkeypatch):
     (tmp_path / "notes.txt").write_text("mine")
-    with result_folder(tmp_path, NAMES) as folder:
-        (folder / "data.csv").write_text("new")
-    assert tree(tmp_path) == {"data.csv": "new", "notes.txt": "mine"}
-
-
-def test_parents_are_made(tmp_path):
-    with result_folder(tmp_path / "a" / "b" / "c", NAMES) as folder:
-        (folder / "data.csv").write_text("new")
-    assert tree(tmp_path / "a") == {"b": None, "b/c": None, "b/c/data.csv": "new"}
-
-
-def test_the_current_folder_can_take_results(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with result_folder(".", NAMES) as folder:
         (folder / "data.csv").write_text("new")
-    assert tree(tmp_path) == {"data.csv": "new"}
+    assert tree(tmp_path) == {"data.csv": "new", "notes.txt": "mine"}
 
 
 @pytest.mark.parametrize("out", ["file", "file/inner", "file/inner/most"])
@@ -189,6 +180,47 @@ def test_results_are_readable_by_others(tmp_path):
         os.umask(mask)
     assert (tmp_path / "out").stat().st_mode & 0o777 == 0o755
     assert (tmp_path / "out" / "part").stat().st_mode & 0o777 == 0o755
+
+
+# Killed runs.
+
+SCRIPT = """
+import sys, time
+from pathlib import Path
+from sgvf_drake.experiments.results import result_folder
+
+with result_folder(sys.argv[1], ["data.csv"]) as folder:
+    (folder / "data.csv").write_text("half")
+    print("at work", flush=True)
+    time.sleep(600)
+"""
+
+
+def test_what_a_killed_run_leaves_is_removed_by_the_next(tmp_path, caplog):
+    out = tmp_path / "out"
+    (tmp_path / ".out.mine").mkdir()
+    command = [sys.executable, "-c", SCRIPT, out]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout.readline() == "at work\n"
+            (hidden,) = set(tmp_path.iterdir()) - {tmp_path / ".out.mine"}
+            # One that is at work is left alone.
+            with result_folder(out, NAMES) as folder:
+                write(folder, "new")
+            assert list(hidden.rglob("data.csv"))
+        finally:
+            process.send_signal(signal.SIGKILL)
+    assert hidden.exists()
+    # That of another place is not looked at, nor is what only looks like one of ours.
+    with result_folder(tmp_path / "other", NAMES) as folder:
+        write(folder, "new")
+    assert hidden.exists()
+    assert not caplog.records
+    with result_folder(out, NAMES, overwrite=True) as folder:
+        write(folder, "newer")
+    assert {path.name for path in tmp_path.iterdir()} == {"out", "other", ".out.mine"}
+    (record,) = caplog.records
+    assert record.getMessage() == f"removed {hidden}, which a killed run had left"
 
 
 def test_summaries_are_plain_json(tmp_path):

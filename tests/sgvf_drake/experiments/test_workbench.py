@@ -1,25 +1,29 @@
 """The bench of trials: each runs once, whole or not at all, in one process or in several."""
 
-from dataclasses import dataclass, replace
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 import importlib
-import json
 import os
+import signal
 import stat
+import subprocess
 import sys
+import time
 from types import SimpleNamespace
 
 import pytest
 
-import sgvf_drake
 from sgvf_drake.exceptions import ConfigurationError, ExperimentError
-from sgvf_drake.experiments import measured_code, workbench
-from sgvf_drake.experiments.workbench import ROW, Workbench
+from sgvf_drake.experiments import measured_code, store, workbench
+from sgvf_drake.experiments.workbench import Workbench
 
-# A module of its own, since processes import it.  Each trial writes a line into a file.
-SOURCE = """
+# Modules of their own, since processes import them.  Each trial writes a line into a file.
+TRIALS = """
 from dataclasses import dataclass
 import os
-from pathlib import Path
+import time
+
+from roots_of_{stem} import root
 
 
 @dataclass(frozen=True)
@@ -33,28 +37,53 @@ def measure(trial, folder):
     with open(trial.log, "a") as log:
         print(trial.number, os.getpid(), file=log)
     (folder / "file.txt").write_text(str(trial.number))
-    if trial.number < 0:
-        raise ValueError(f"{trial.number} has no root")
-    return {"square": trial.number**2, "nan": float("nan"), "values": trial.values}
+    if trial.number >= 1000:
+        time.sleep(600)
+    return {{"root": root(trial.number), "nan": float("nan"), "values": trial.values}}
 
 
 def measure_otherwise(trial, folder):
-    return {**measure(trial, folder), "otherwise": True}
+    return {{**measure(trial, folder), "otherwise": True}}
 
 
 def measure_what_is_no_json(trial, folder):
-    return {"set": {1, 2}}
+    return {{"set": {{1, 2}}}}
+
+
+def interrupt(trial, folder):
+    (folder / "half.txt").write_text("half")
+    raise KeyboardInterrupt
 """
+ROOTS = '''
+def root(number):
+    """Returns the root."""
+    if number < 0:
+        raise ValueError(f"{number} has no root")
+    return number**0.5
+'''
+
+
+def forget():
+    """Has the digest of the code taken anew, as in another process."""
+    for cached in (measured_code.code_digest, measured_code._code_of, measured_code._file_of):
+        cached.cache_clear()
 
 
 @pytest.fixture
 def module(tmp_path, monkeypatch):
-    """A module with trials, and the numbers of those that were measured."""
-    name = f"trials_of_{tmp_path.name}"
-    path = tmp_path / f"{name}.py"
-    path.write_text(SOURCE)
-    monkeypatch.syspath_prepend(tmp_path)
-    module = importlib.import_module(name)
+    """A module with trials, which imports one of two others, and what was measured."""
+    stem = tmp_path.name
+    names = {name: f"{name}_of_{stem}" for name in ("trials", "roots", "others")}
+    files = {name: tmp_path / "code" / f"{own}.py" for name, own in names.items()}
+    files["trials"].parent.mkdir()
+    files["trials"].write_text(TRIALS.format(stem=stem))
+    files["roots"].write_text(ROOTS)
+    files["others"].write_text("others = 1\n")
+    monkeypatch.syspath_prepend(files["trials"].parent)
+    ours = {own: files[name].with_suffix("") for name, own in names.items()}
+    monkeypatch.setattr(measured_code, "_ROOTS", ours)
+    forget()
+    module = importlib.import_module(names["trials"])
     log = tmp_path / "log.txt"
     log.touch()
 
@@ -62,232 +91,260 @@ def module(tmp_path, monkeypatch):
         return [tuple(map(int, line.split())) for line in log.read_text().splitlines()]
 
     yield SimpleNamespace(
-        path=path,
-        store=tmp_path / "store",
-        measure=module.measure,
-        module=module,
+        **{"files": files, "name": names["trials"], "store": tmp_path / "store", "log": log},
+        **{"measure": module.measure, "module": module},
         trials=lambda *numbers: [module.Trial(number, str(log)) for number in numbers],
         measured=lambda: [number for number, _ in lines()],
         processes=lambda: {process for _, process in lines()},
     )
-    del sys.modules[name]
+    for name in names.values():
+        sys.modules.pop(name, None)
+    forget()
 
 
-def rows(records):
-    return [record.row for record in records]
+def run(module, *numbers, measure=None, **options):
+    """Runs trials on a bench of the module's store."""
+    bench = Workbench(module.store, **options)
+    return bench.run(measure or module.measure, module.trials(*numbers), "rooting")
 
 
 def folders(store):
-    return sorted(path.name for path in store.iterdir())
+    return sorted(path.name for path in store.iterdir() if path.is_dir())
 
 
 # What a trial leaves.
 
 
-def test_trials_are_measured_in_their_order(module):
+def test_trials_are_measured_in_their_order_and_leave_rows_and_files(module):
     calls = []
-    bench = Workbench(module.store, progress=lambda *call: calls.append(call))
-    records = bench.run(module.measure, module.trials(3, 1, 2), "squaring")
-    assert [record.row["square"] for record in records] == [9, 1, 4]
-    assert module.measured() == [3, 1, 2]
-    assert calls == [("squaring", done, 3) for done in range(4)]
-
-
-def test_a_record_is_plain_and_has_its_files(module):
-    bench = Workbench(module.store)
-    (record,) = bench.run(module.measure, module.trials(4), "squaring")
-    assert record.row == {"square": 16, "nan": None, "values": [1.0, 2.0]}
-    assert (record.folder / "file.txt").read_text() == "4"
-    assert {path.name for path in record.folder.iterdir()} == {ROW, "file.txt"}
-    assert record.folder.parent == module.store
-    assert record.elapsed_s > 0.0
-    assert folders(module.store) == [record.folder.name]
-
-
-def test_records_are_readable_by_others(module):
     mask = os.umask(0o022)
     try:
-        (record,) = Workbench(module.store).run(module.measure, module.trials(1), "squaring")
+        records = run(module, 4, 1, 4, 9, progress=lambda *call: calls.append(call))
     finally:
         os.umask(mask)
-    assert stat.S_IMODE(record.folder.stat().st_mode) == 0o755
+    assert [record.row["root"] for record in records] == [2, 1, 2, 3]
+    # Equal ones are measured once.
+    assert module.measured() == [4, 1, 9]
+    assert calls == [("rooting", done, 3) for done in range(4)]
+    first = records[0]
+    assert first.row == {"root": 2, "nan": None, "values": [1.0, 2.0]}
+    assert [path.name for path in first.folder.iterdir()] == ["file.txt"]
+    assert (first.folder / "file.txt").read_text() == "4"
+    assert first.elapsed_s > 0.0
+    assert folders(module.store) == sorted({record.folder.name for record in records})
+    # Others can read it.
+    assert stat.S_IMODE(first.folder.stat().st_mode) == 0o755
 
 
-def test_the_time_of_stored_trials_counts(module):
-    first, second = Workbench(module.store), Workbench(module.store)
-    for bench in (first, second):
-        bench.run(module.measure, module.trials(1, 2), "squaring")
-    assert first.trial_s > 0.0
-    assert second.trial_s == first.trial_s
-
-
-# What is stored is not measured again, as long as it is the same.
-
-
-def test_a_finished_trial_is_not_measured_again(module):
-    first = Workbench(module.store).run(module.measure, module.trials(1, 2), "squaring")
-    calls = []
-    bench = Workbench(module.store, progress=lambda *call: calls.append(call))
-    second = bench.run(module.measure, module.trials(2, 3, 1), "squaring")
+def test_finished_trials_are_not_measured_again_and_their_time_counts(module):
+    first = Workbench(module.store)
+    rows = first.run(module.measure, module.trials(1, 2), "rooting")
+    second = Workbench(module.store)
+    again = second.run(module.measure, module.trials(2, 3, 1), "rooting")
     assert module.measured() == [1, 2, 3]
-    assert rows(second)[::2] == rows(first)[::-1]
-    assert second[2].elapsed_s == first[0].elapsed_s
-    assert calls == [("squaring", 2, 3), ("squaring", 3, 3)]
-
-
-def test_an_equal_trial_is_measured_once(module):
-    records = Workbench(module.store).run(module.measure, module.trials(1, 2, 1), "squaring")
-    assert module.measured() == [1, 2]
-    assert records[0].folder == records[2].folder
+    assert [record.row for record in again[::2]] == [record.row for record in rows[::-1]]
+    assert second.trial_s == pytest.approx(first.trial_s + again[1].elapsed_s)
 
 
 def test_another_trial_or_function_has_a_record_of_its_own(module):
     bench = Workbench(module.store)
     (trial,) = module.trials(1)
-    bench.run(module.measure, [trial], "squaring")
-    bench.run(module.measure, [replace(trial, values=(3.0,))], "squaring")
-    (other,) = bench.run(module.module.measure_otherwise, [trial], "squaring")
-    assert other.row["otherwise"] is True
+    trials = [trial, replace(trial, values=(3.0,))]
+    for _ in range(2):
+        bench.run(module.measure, trials, "rooting")
+        (other,) = bench.run(module.module.measure_otherwise, [trial], "rooting")
+        assert other.row["otherwise"] is True
     assert module.measured() == [1, 1, 1]
-    # All three stay.
-    bench.run(module.measure, [trial, replace(trial, values=(3.0,))], "squaring")
-    assert module.measured() == [1, 1, 1]
-
-
-@pytest.fixture
-def fresh_digest():
-    """Has the digest of the code taken anew, as in another process."""
-    yield measured_code.code_digest.cache_clear
-    measured_code.code_digest.cache_clear()
-
-
-def test_a_changed_module_is_measured_again(module, fresh_digest):
-    trials = module.trials(1)
-    Workbench(module.store).run(module.measure, trials, "squaring")
-    module.path.write_text(SOURCE + "\n# Changed.\n")
-    fresh_digest()
-    Workbench(module.store).run(module.measure, trials, "squaring")
-    assert module.measured() == [1, 1]
-    # In the place of the older one.
-    assert len(folders(module.store)) == 1
 
 
 @pytest.mark.parametrize(
-    ("target", "name", "value"),
+    ("name", "old", "new", "counts"),
     [
-        (workbench, "code_digest", lambda *modules: "other"),
-        (sgvf_drake, "__version__", "999"),
+        ("roots", "number**0.5", "number**0.25", True),
+        ("trials", "time.sleep(600)", "time.sleep(60)", True),
+        ("roots", "Returns the root", "Gives the root", False),
+        ("trials", "def measure(", "# What takes the time.\ndef measure(", False),
+        ("others", "others = 1", "others = 2", False),
     ],
 )
-def test_records_of_other_code_are_not_used(module, monkeypatch, target, name, value):
-    trials = module.trials(1)
-    Workbench(module.store).run(module.measure, trials, "squaring")
-    monkeypatch.setattr(target, name, value)
-    for _ in range(2):
-        Workbench(module.store).run(module.measure, trials, "squaring")
-    assert module.measured() == [1, 1]
-
-
-def test_code_that_changes_while_trials_run_is_not_what_measured_them(module):
-    with pytest.raises(ExperimentError, match="the code was changed while the trials ran"):
-        workbench._measure(module.measure, module.store, "other code", *module.trials(2))
-    assert not module.store.exists()
-
-
-@pytest.mark.parametrize("text", ["", "{", "[1]", "{}", '{"identity": 1, "row": {}}'])
-def test_a_damaged_record_is_measured_again(module, text):
-    bench = Workbench(module.store)
-    (record,) = bench.run(module.measure, module.trials(1), "squaring")
-    (record.folder / ROW).write_text(text)
-    (again,) = bench.run(module.measure, module.trials(1), "squaring")
-    assert module.measured() == [1, 1]
-    assert json.loads((again.folder / ROW).read_text())["row"] == again.row
+def test_a_changed_line_is_measured_again_and_words_are_not(module, name, old, new, counts):
+    run(module, 1)
+    file = module.files[name]
+    source = file.read_text()
+    file.write_text(source.replace(old, new))
+    forget()
+    (kept,) = run(module, 1, any_code=True)
+    assert module.measured() == [1]
+    (fresh,) = run(module, 1)
+    assert module.measured() == [1, 1] if counts else [1]
+    assert (fresh.code != kept.code) == counts
+    # The older one is there yet, where somebody goes back.
+    file.write_text(source)
+    forget()
+    assert run(module, 1)[0].code == kept.code
+    assert len(module.measured()) == 1 + counts
 
 
 # What goes wrong.
 
 
-def test_a_failure_does_not_stop_the_others(module):
-    bench = Workbench(module.store)
-    message = r"^2 of 4 trials of squaring failed; the first, Trial\(number=-\d.*ValueError: "
+def test_a_failing_trial_does_not_stop_the_others(module):
+    message = r"^2 of 4 trials of rooting failed; the first, Trial\(number=-1.*ValueError: -1 "
     with pytest.raises(ExperimentError, match=message):
-        bench.run(module.measure, module.trials(1, -1, 2, -2), "squaring")
-    assert sorted(module.measured()) == [-2, -1, 1, 2]
+        run(module, 1, -1, 2, -2)
+    assert module.measured() == [1, -1, 2, -2]
     assert len(folders(module.store)) == 2
     # Only those that failed run again.
     with pytest.raises(ExperimentError, match="-1 has no root"):
-        bench.run(module.measure, module.trials(1, -1, 2), "squaring")
-    assert sorted(module.measured()) == [-2, -1, -1, 1, 2]
+        run(module, 1, -1, 2)
+    assert module.measured() == [1, -1, 2, -2, -1]
 
 
-def test_a_failure_leaves_an_older_record_alone(module, monkeypatch):
-    bench = Workbench(module.store)
-    (record,) = bench.run(module.measure, module.trials(2), "squaring")
-    monkeypatch.setattr(workbench, "code_digest", lambda *modules: "other")
-
-    def fail(*arguments, **options):
-        raise OSError("no space left")
-
-    # It fails where the files of the new record are already written.
-    code = workbench._code(module.measure)
-    monkeypatch.setattr(workbench.json, "dumps", fail)
-    with pytest.raises(OSError, match="no space left"):
-        workbench._measure(module.measure, module.store, code, *module.trials(2))
-    assert module.measured() == [2, 2]
-    assert folders(module.store) == [record.folder.name]
-    assert json.loads((record.folder / ROW).read_text())["row"]["square"] == 4
-
-
-def test_an_interruption_leaves_nothing_half_written(module):
-    @dataclass(frozen=True)
-    class Interrupted:
-        number: int = 1
-
-    def measure(trial, folder):
-        (folder / "half.txt").write_text("half")
-        raise KeyboardInterrupt
-
-    bench = Workbench(module.store)
-    bench.run(module.measure, module.trials(1), "squaring")
+def test_an_interruption_leaves_what_has_ended_and_nothing_half_written(module):
+    run(module, 1)
     before = folders(module.store)
     with pytest.raises(KeyboardInterrupt):
-        bench.run(measure, [Interrupted()], "squaring")
-    assert folders(module.store) == before
-
-
-def test_a_row_must_be_json(module):
-    bench = Workbench(module.store)
+        run(module, 2, measure=module.module.interrupt)
     with pytest.raises(ExperimentError, match="set is not JSON serializable"):
-        bench.run(module.module.measure_what_is_no_json, module.trials(1), "squaring")
-    assert folders(module.store) == []
+        run(module, 3, measure=module.module.measure_what_is_no_json)
+    assert folders(module.store) == before
+    run(module, 1)
+    assert module.measured() == [1]
 
 
-def test_there_must_be_a_process(tmp_path):
+def test_code_that_changes_while_trials_run_is_not_what_measured_them(module):
+    with pytest.raises(ExperimentError, match="the code was changed while the trials ran"):
+        workbench._measure(
+            module.measure, store.TrialStore(module.store), *module.trials(2), "other code"
+        )
+    assert module.measured() == []
+
+
+def test_a_record_without_its_files_is_measured_again(module):
+    (record,) = run(module, 1)
+    (record.folder / "file.txt").unlink()
+    record.folder.rmdir()
+    (again,) = run(module, 1)
+    assert module.measured() == [1, 1]
+    assert (again.folder / "file.txt").exists()
+
+
+def test_files_without_their_row_are_replaced(module):
+    (record,) = run(module, 1)
+    (record.folder / "more.txt").write_text("of a killed process")
+    (module.store / store.ROWS).unlink()
+    (again,) = run(module, 1)
+    assert [path.name for path in again.folder.iterdir()] == ["file.txt"]
+
+
+def test_a_damaged_file_of_rows_is_told(module):
+    module.store.mkdir()
+    (module.store / store.ROWS).write_text("no database" * 100)
+    with pytest.raises(ExperimentError, match=r"stored trials in .*rows\.sqlite: file is not"):
+        run(module, 1)
+    assert module.measured() == []
+
+
+def test_there_must_be_a_process_and_no_trials_are_no_work(module):
     with pytest.raises(ConfigurationError, match="jobs must be at least 1, not 0"):
-        Workbench(tmp_path / "store", jobs=0)
-    assert not (tmp_path / "store").exists()
-
-
-def test_no_trials_are_no_work(module):
-    assert Workbench(module.store, jobs=2).run(module.measure, [], "squaring") == []
+        Workbench(module.store, jobs=0)
+    assert run(module, jobs=2) == []
     assert not module.store.exists()
 
 
-# Several processes, once in earnest.
+# Several at once.
 
 
-def test_processes_measure_what_one_does_and_survive_a_failure(module, tmp_path):
-    calls = []
-    bench = Workbench(module.store, 2, lambda *call: calls.append(call))
-    with pytest.raises(ExperimentError, match=r"1 of 4 trials .*ValueError: -1 has no root"):
-        bench.run(module.measure, module.trials(5, -1, 4, 1), "squaring")
-    assert os.getpid() not in module.processes()
-    assert calls == [("squaring", done, 4) for done in range(5)]
-    assert sorted(module.measured()) == [-1, 1, 4, 5]
-    # What they stored is found, in the order of the trials.
-    found = bench.run(module.measure, module.trials(4, 5, 1), "squaring")
-    assert len(module.measured()) == 4
-    alone = Workbench(tmp_path / "alone").run(module.measure, module.trials(4, 5, 1), "alone")
-    assert rows(found) == rows(alone)
-    names = [record.folder.name for record in found]
-    assert names == [record.folder.name for record in alone]
+def test_any_executor_can_do_the_work(module):
+    with ThreadPoolExecutor(3) as executor:
+        records = run(module, *range(20), executor=executor)
+        # It is left open for others.
+        assert executor.submit(int).result() == 0
+    assert [record.row["root"] for record in records] == [n**0.5 for n in range(20)]
+    with ThreadPoolExecutor(3) as executor, pytest.raises(ExperimentError, match="-1 has no"):
+        run(module, -1, 20, 21, executor=executor)
+    assert sorted(module.measured()) == [-1, *range(22)]
+
+
+def test_a_store_can_be_begun_by_many_at_once(module, tmp_path):
+    # Each on a connection of its own, as processes have them.
+    def begin(number):
+        files = tmp_path / f"files{number}"
+        files.mkdir()
+        key = store.Key("a.measure", str(number % 5), "code")
+        kept = store.TrialStore(module.store)
+        kept.put(key, {"number": number % 5}, files, 1.0)
+        return kept.find(key)
+
+    module.store.mkdir()
+    with ThreadPoolExecutor(10) as executor:
+        records = list(executor.map(begin, range(40)))
+    assert [record.row["number"] for record in records] == 8 * [*range(5)]
+    assert len(folders(module.store)) == 5
+
+
+SCRIPT = """
+import sys
+sys.path.insert(0, {code!r})
+import {name} as module
+from pathlib import Path
+from sgvf_drake.experiments import measured_code
+from sgvf_drake.experiments.workbench import Workbench
+
+if __name__ == "__main__":
+    trials = [module.Trial(number, {log!r}) for number in (*range(40), *range(1000, 1000 + {jobs}))]
+    Workbench(Path({store!r}), jobs={jobs}).run(module.measure, trials, "rooting")
+"""
+
+
+def wait_until(happens, timeout_s=120.0):
+    deadline = time.monotonic() + timeout_s
+    while not happens():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+@pytest.mark.parametrize("jobs", [1, pytest.param(2, marks=pytest.mark.full)])
+def test_a_killed_run_loses_nothing_that_ended(module, tmp_path, monkeypatch, caplog, jobs):
+    # In processes the modules are none of ours: their own files count, which is enough here.
+    monkeypatch.setattr(measured_code, "_ROOTS", {})
+    forget()
+    script = tmp_path / "script.py"
+    places = {"code": str(module.files["trials"].parent), "store": str(module.store)}
+    script.write_text(SCRIPT.format(name=module.name, log=str(module.log), jobs=jobs, **places))
+    process = subprocess.Popen([sys.executable, script])
+    try:
+        # Another process, which writes into the same store at the same time.
+        wait_until(lambda: module.measured())
+        records = run(module, *range(60, 0, -1))
+        assert [record.row["root"] for record in records] == [n**0.5 for n in range(60, 0, -1)]
+        wait_until(lambda: set(range(1000, 1000 + jobs)) <= set(module.measured()))
+        assert len(module.processes() - {os.getpid()}) == jobs
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    # The processes of the killed one end with it, in the middle of their trials.
+    for worker in module.processes() - {os.getpid()}:
+        wait_until(lambda worker=worker: not alive(worker))
+    before = len(module.measured())
+    hidden = [path for path in module.store.iterdir() if path.name.startswith(".")]
+    assert len(hidden) == jobs
+    assert not caplog.records
+    assert len(run(module, *range(61))) == 61
+    assert module.measured()[before:] == []
+    # What it has left is removed, and told.
+    assert not [path for path in module.store.iterdir() if path.name.startswith(".")]
+    told = [record.getMessage() for record in caplog.records]
+    assert sorted(told) == sorted(
+        f"removed {path}, which a killed run had left" for path in hidden
+    )
+
+
+def alive(process):
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    with open(f"/proc/{process}/stat") as stat:
+        # A zombie has ended, and waits for whoever has inherited it.
+        return stat.read().rpartition(")")[2].split()[0] != "Z"

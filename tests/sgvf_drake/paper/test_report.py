@@ -13,17 +13,18 @@ import pandas as pd
 from PIL import Image
 import pytest
 
-from sgvf_drake.experiments import run_reproduce
-from sgvf_drake.experiments.report import build_page
-from sgvf_drake.experiments.report.numbers import (
+from sgvf_drake.paper import run_reproduce
+from sgvf_drake.paper.intervals import interval_columns
+from sgvf_drake.paper.report import build_page
+from sgvf_drake.paper.report.pictures import embed, embed_thumbnail
+from sgvf_drake.paper.report.tables import (
     cell_text,
     duration_text,
     interval_text,
     number_text,
+    read_table,
+    view_table,
 )
-from sgvf_drake.experiments.report.pictures import embed, embed_thumbnail
-from sgvf_drake.experiments.report.tables import read_table, view_table
-from sgvf_drake.paper.intervals import interval_columns
 
 NASTY = "a <b> & \"c\" 'd' {{ e }} </script>"
 
@@ -57,14 +58,14 @@ def test_numbers_have_three_digits(value, text):
     assert number_text(value) == text
 
 
-@pytest.mark.parametrize("value", 10.0 ** np.linspace(-9, 9, 57) * 1.0371)
-def test_numbers_are_right_to_three_digits(value):
-    text = number_text(value).replace(",", "")
-    mantissa, _, power = text.partition("×10")  # noqa: RUF001
+def test_numbers_are_right_to_three_digits():
     digits = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
-    read = float(mantissa) * 10.0 ** int(power.translate(digits) or 0)
-    assert read == pytest.approx(value, rel=5e-3)
-    assert len(text) <= 10
+    for value in 10.0 ** np.linspace(-9, 9, 57) * 1.0371:
+        text = number_text(value).replace(",", "")
+        mantissa, _, power = text.partition("×10")  # noqa: RUF001
+        read = float(mantissa) * 10.0 ** int(power.translate(digits) or 0)
+        assert read == pytest.approx(value, rel=5e-3)
+        assert len(text) <= 10
 
 
 @pytest.mark.parametrize(
@@ -109,70 +110,59 @@ def test_times_are_in_words(seconds, text):
 # Tables.
 
 
-def columns_of(table):
-    view = view_table(table, "caption")
-    return {column.heading: column for column in view.columns}
+def cells_of(table):
+    """The texts of each column by its heading."""
+    headings = [heading for heading, _ in table.columns]
+    return dict(zip(headings, zip(*table.rows, strict=True), strict=True))
 
 
 def test_three_columns_of_an_interval_become_one(tmp_path):
-    values = [0.8, 0.9, 1.0]
-    rows = [{"variant": name, **interval_columns("laps", values)} for name in ("a", "b")]
+    columns = interval_columns("laps", [0.8, 0.9, 1.0])
+    rows = [{"variant": name, **columns} for name in ("a", "b")]
     pd.DataFrame(rows).to_csv(tmp_path / "table.csv", index=False)
-    view = view_table(read_table(tmp_path / "table.csv"), "caption")
-    assert [column.heading for column in view.columns] == ["variant", "laps"]
-    assert view.intervals
-    assert view.columns[1].numeric
-    assert (
-        view.columns[1].cells == (interval_text(*interval_columns("x", values).values()),) * 2
-    )
-    assert [[text for _, text in row] for row in view.rows] == [
-        [name, view.columns[1].cells[0]] for name in ("a", "b")
-    ]
+    table = read_table(tmp_path / "table.csv")
+    assert table.columns == [("variant", ""), ("laps", "number")]
+    text = interval_text(*columns.values())
+    assert table.rows == [("a", text), ("b", text)]
+    assert table.intervals
 
 
-def test_a_single_seed_has_no_interval():
-    view = view_table(pd.DataFrame([interval_columns("laps", [0.25])]), "caption")
-    assert [column.cells for column in view.columns] == [("0.250",)]
-    assert not view.intervals
-
-
-@pytest.mark.parametrize("missing", ["laps mean", "laps low", "laps high"])
-def test_columns_that_are_no_interval_stay_as_they_are(missing):
-    table = pd.DataFrame([interval_columns("laps", [0.8, 0.9])]).drop(columns=missing)
-    view = view_table(table, "caption")
-    assert [column.heading for column in view.columns] == list(table.columns)
-    assert not view.intervals
+def test_what_is_no_interval_is_not_shown_as_one():
+    table = view_table(pd.DataFrame([interval_columns("laps", [0.25])]))
+    assert cells_of(table) == {"laps": ("0.250",)}
+    assert not table.intervals
+    whole = pd.DataFrame([interval_columns("laps", [0.8, 0.9])])
+    for missing in whole.columns:
+        part = whole.drop(columns=missing)
+        table = view_table(part)
+        assert [heading for heading, _ in table.columns] == list(part.columns)
+        assert not table.intervals
 
 
 def test_a_table_is_read_as_it_was_written(tmp_path):
-    table = pd.DataFrame(
+    pd.DataFrame(
         {
             "variant": ["None", "NA", "null"],
             "count": [1, 2, 3],
             "share": [0.5, math.nan, 1.0],
             "seen": [True, False, True],
             "first": [math.nan, 3, 4],
+            "why": ["short", "long " * 20, "short"],
         }
-    )
-    table.to_csv(tmp_path / "table.csv", index=False)
-    columns = columns_of(read_table(tmp_path / "table.csv"))
-    assert columns["variant"].cells == ("None", "NA", "null")
-    assert columns["count"].cells == ("1", "2", "3")
-    assert columns["share"].cells == ("0.500", "–", "1")  # noqa: RUF001
-    assert columns["seen"].cells == ("yes", "no", "yes")
-    assert columns["first"].cells == ("–", "3", "4")  # noqa: RUF001
-    kinds = {name: column.kind for name, column in columns.items()}
-    assert kinds == {
+    ).to_csv(tmp_path / "table.csv", index=False)
+    table = read_table(tmp_path / "table.csv")
+    cells = cells_of(table)
+    assert cells["variant"] == ("None", "NA", "null")
+    assert cells["count"] == ("1", "2", "3")
+    assert cells["share"] == ("0.500", "–", "1")  # noqa: RUF001
+    assert cells["seen"] == ("yes", "no", "yes")
+    assert cells["first"] == ("–", "3", "4")  # noqa: RUF001
+    assert dict(table.columns) == {
         **dict.fromkeys(("count", "share", "first"), "number"),
-        **{"variant": "", "seen": ""},
+        **{"variant": "", "seen": "", "why": "prose"},
     }
-    assert columns_of(pd.DataFrame({"why": ["short", "long " * 20]}))["why"].kind == "prose"
-
-
-def test_a_table_without_rows_has_its_headings():
-    view = view_table(pd.DataFrame(columns=["a", "b"]), "caption")
-    assert [column.heading for column in view.columns] == ["a", "b"]
-    assert view.rows == []
+    empty = view_table(pd.DataFrame(columns=["a", "b"]))
+    assert (empty.columns, empty.rows) == ([("a", ""), ("b", "")], [])
 
 
 # Pictures.
@@ -306,11 +296,6 @@ def test_every_verdict_is_on_the_page(page_of):
     }
 
 
-def test_the_counts_are_in_words(page_of):
-    page = page_of(alpha={}, beta={})
-    assert "Of 2 claims put to the test in 2 scenarios, 2 hold." in page.text
-
-
 def test_links_lead_to_places_on_the_page(page_of):
     page = page_of("alpha", alpha={}, beta={})
     places = [attributes["id"] for _, attributes in page.elements if "id" in attributes]
@@ -322,17 +307,14 @@ def test_links_lead_to_places_on_the_page(page_of):
     assert set(labels) <= set(places)
 
 
-def test_the_page_needs_nothing_else(page_of):
-    page = page_of(alpha={})
+def test_a_page_is_whole_in_itself_and_says_how_to_run_it_again(page_of):
+    page = page_of(alpha={"seeds": [1, 2, 300]})
+    assert "Of 1 claim put to the test in 1 scenario, 1 holds." in page.text
     assert page.all("script") == []
     sources = [attributes["src"] for attributes in page.all("img")]
     assert all(source.startswith("data:image/webp;base64,") for source in sources)
     assert [at["href"] for at in page.all("link")] == ["data:,"]
     assert "url(" not in "".join(page.texts)
-
-
-def test_figures_and_tables_have_their_captions(page_of):
-    page = page_of(alpha={"seeds": [1, 2, 300]})
     thumbnail, figure = page.all("img")
     assert thumbnail["alt"] == ""
     assert figure["alt"] == "How squares grow."
@@ -340,15 +322,16 @@ def test_figures_and_tables_have_their_captions(page_of):
     assert "270,000" in page.text
     assert all(at["scope"] in ("col", "row", "rowgroup") for at in page.all("th"))
     assert len(page.all("caption")) == len(page.all("table")) == 2
+    assert "sgvf run alpha --out alpha" in page.text
+    assert "experiment: !FakeExperiment" in page.text
+    assert "Seeds 1, 2, 300" in page.text
 
 
-def test_each_scenario_says_how_to_run_it_again(page_of):
-    page = page_of(alpha={"seeds": [4, 5]}, quick=True)
+def test_a_quick_page_says_so(page_of):
+    page = page_of(alpha={}, quick=True)
     assert "sgvf run alpha --override quick --out alpha" in page.text
     assert "sgvf reproduce --quick" in page.text
     assert "Quick reproduction" in page.text
-    assert "experiment: !FakeExperiment" in page.text
-    assert "Seeds 4, 5" in page.text
 
 
 def test_what_is_missing_or_failed_is_told(page_of):

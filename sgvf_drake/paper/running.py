@@ -1,7 +1,6 @@
 """Runs a scenario into a folder: tables, logs, figures, and what they come from."""
 
 from collections.abc import Mapping, Sequence
-import inspect
 import json
 from os import PathLike
 from pathlib import Path
@@ -12,7 +11,6 @@ from matplotlib.figure import Figure
 
 import sgvf_drake
 from sgvf_drake.experiments.measured_code import code_digest
-from sgvf_drake.experiments.outcome import Exhibit, Outcome
 from sgvf_drake.experiments.provenance import provenance
 from sgvf_drake.experiments.results import (
     SUMMARY,
@@ -22,8 +20,9 @@ from sgvf_drake.experiments.results import (
     save_figure,
     write_summary,
 )
-from sgvf_drake.experiments.scenario import Scenario
 from sgvf_drake.experiments.workbench import Workbench
+from sgvf_drake.paper.experiment import Exhibit, Outcome
+from sgvf_drake.paper.scenario import Scenario
 from sgvf_drake.progress import Progress, no_progress
 
 SCENARIO_FILE = "scenario.yaml"
@@ -58,12 +57,12 @@ def run_scenario(
         The summary.
 
     Raises:
-        OutputExistsError: A file is in the way.  Where that is found after the work, the
+        OutputExistsError: If a file is in the way.  Where that is found after the work, the
             trials are kept.
-        ExperimentError: Trials failed.
+        ExperimentError: If trials failed.
     """
     out = Path(out)
-    earlier = _earlier_names(out)
+    _, earlier = _stored(out)
     own = earlier if resume else []
     check_results(out, _without([SUMMARY, SCENARIO_FILE], own), overwrite=overwrite)
     begin = time.perf_counter()
@@ -93,12 +92,8 @@ def run_scenario(
 
 def stored_summary(out: Path) -> dict[str, Any] | None:
     """Returns the summary of a result that is whole, else None."""
-    try:
-        summary: dict[str, Any] = json.loads((out / SUMMARY).read_text(encoding="utf-8"))
-        whole = all((out / name).is_file() for name in _result_names(summary))
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
-    return summary if whole else None
+    summary, names = _stored(out)
+    return summary if names and all((out / name).is_file() for name in names) else None
 
 
 def is_result_of(summary: Mapping[str, Any], scenario: Scenario) -> bool:
@@ -108,8 +103,8 @@ def is_result_of(summary: Mapping[str, Any], scenario: Scenario) -> bool:
 
 def _origin(scenario: Scenario) -> dict[str, Any]:
     """What a result follows from: the scenario as it is resolved, and the code."""
-    code = code_digest(Path(inspect.getfile(type(scenario.experiment))), drawing=True)
-    return {**scenario.summary(), "version": sgvf_drake.__version__, "code": code}
+    kind: Any = type(scenario.experiment)
+    return {**scenario.summary(), "version": sgvf_drake.__version__, "code": code_digest(kind)}
 
 
 def _entry(exhibit: Exhibit) -> dict[str, str]:
@@ -117,19 +112,20 @@ def _entry(exhibit: Exhibit) -> dict[str, str]:
     return {"file": f"{exhibit.name}.{suffix}", "caption": exhibit.caption}
 
 
+def _stored(out: Path) -> tuple[dict[str, Any], list[str]]:
+    """The summary of an earlier run in a folder, and its files there; empty if none can be read."""
+    try:
+        summary: dict[str, Any] = json.loads((out / SUMMARY).read_text(encoding="utf-8"))
+        names = _result_names(summary)
+    except (OSError, ValueError, KeyError, TypeError):
+        return {}, []
+    # Of this folder, whatever a summary says.
+    return summary, [name for name in names if Path(name).name == name]
+
+
 def _result_names(summary: Mapping[str, Any]) -> list[str]:
     exhibits = [entry["file"] for entry in summary["exhibits"]]
     return [SUMMARY, SCENARIO_FILE, *exhibits, *summary["logs"]]
-
-
-def _earlier_names(out: Path) -> list[str]:
-    """The files of an earlier run in this folder, which are replaced or go."""
-    try:
-        names = _result_names(json.loads((out / SUMMARY).read_text(encoding="utf-8")))
-    except (OSError, ValueError, KeyError, TypeError):
-        return []
-    # Of this folder, whatever a summary says.
-    return [name for name in names if Path(name).name == name]
 
 
 def _without(names: Sequence[str], own: Sequence[str]) -> list[str]:

@@ -8,8 +8,8 @@ import pandas as pd
 import pytest
 
 from sgvf_drake.exceptions import ConfigurationError, ExperimentError, OutputExistsError
-from sgvf_drake.experiments import load_scenario, run_scenario, running
-from sgvf_drake.experiments.running import is_result_of, stored_summary
+from sgvf_drake.paper import load_scenario, run_scenario, running
+from sgvf_drake.paper.running import is_result_of, stored_summary
 
 FILES = {
     *("summary.json", "scenario.yaml", "squares.png", "squares_table.csv", "log.parquet"),
@@ -40,13 +40,11 @@ def content_of(folder):
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-# What is left.
-
-
 def test_a_run_leaves_exhibits_logs_scenario_and_summary(load, tmp_path):
-    scenario = load(seeds=[1, 2, 4])
-    out = tmp_path / "deep" / "out"
-    summary = run_scenario(scenario, out)
+    scenario = load(seeds=[1, 2, 4], verdict="holds in part")
+    out, calls = tmp_path / "deep" / "out", []
+    summary = run_scenario(scenario, out, progress=lambda *call: calls.append(call))
+    assert calls == [("squaring", done, 3) for done in range(4)]
     assert names_in(out) == FILES
     assert names_in(tmp_path / "deep") == {"out"}
     assert load_scenario(out / "scenario.yaml") == scenario
@@ -54,67 +52,56 @@ def test_a_run_leaves_exhibits_logs_scenario_and_summary(load, tmp_path):
     assert table["square"].tolist() == [3, 12, 48]
     pd.testing.assert_frame_equal(pd.read_parquet(out / "log.parquet"), table)
     assert np.ptp(imread(out / "squares.png")) > 0.5
-    assert len(list((out / "trials").iterdir())) == 3
-    assert json.loads((out / "summary.json").read_text()) == stored_summary(out)
-    assert stored_summary(out).keys() == summary.keys() == KEYS
-
-
-def test_the_summary_says_what_was_found_and_from_what(load, tmp_path):
-    scenario = load(seeds=[1, 2], verdict="holds in part")
-    run_scenario(scenario, tmp_path / "out")
-    summary = stored_summary(tmp_path / "out")
-    assert summary.items() >= scenario.summary().items()
-    assert summary["seeds"] == [1, 2]
-    assert summary["figures"] == {"largest": 12}
-    assert summary["claims"] == [
+    stored = stored_summary(out)
+    assert json.loads((out / "summary.json").read_text()) == stored
+    assert stored.keys() == summary.keys() == KEYS
+    assert stored.items() >= scenario.summary().items()
+    assert stored["seeds"] == [1, 2, 4]
+    assert stored["figures"] == {"largest": 48}
+    assert stored["claims"] == [
         {
             **{"key": "grow", "source": "Section IX", "statement": "Squares grow."},
             **{"verdict": "holds in part", "evidence": "They do.", "of_paper": True},
         }
     ]
-    assert summary["exhibits"] == [
+    assert stored["exhibits"] == [
         {"file": "squares.png", "caption": "How squares grow."},
         {"file": "squares_table.csv", "caption": "The same in numbers."},
     ]
-    assert summary["logs"] == ["log.parquet"]
-    assert 0.0 < summary["trial_s"] < summary["wall_s"]
-
-
-def test_progress_is_that_of_the_trials(load, tmp_path):
-    calls = []
-    run_scenario(load(), tmp_path / "out", progress=lambda *call: calls.append(call))
-    assert calls == [("squaring", done, 2) for done in range(3)]
+    assert stored["logs"] == ["log.parquet"]
+    assert 0.0 < stored["trial_s"] < stored["wall_s"]
 
 
 def test_trials_can_be_kept_elsewhere_and_shared(load, fake_scenarios, tmp_path):
-    store = tmp_path / "store"
     for name in ("a", "b"):
-        run_scenario(load(exhibit=name), tmp_path / name, trials=store)
+        run_scenario(load(exhibit=name), tmp_path / name, trials=tmp_path / "store")
         assert "trials" not in names_in(tmp_path / name)
-    assert len(fake_scenarios.measured) == len(list(store.iterdir())) == 2
+    assert len(fake_scenarios.measured) == 2
 
 
 # What is in the way.
 
 
-def test_results_are_not_replaced_unasked(load, fake_scenarios, tmp_path):
-    scenario = load()
-    run_scenario(scenario, tmp_path / "out")
-    before = content_of(tmp_path)
-    with pytest.raises(OutputExistsError, match=r"already holds summary\.json, scenario\.yaml"):
-        run_scenario(load(size=9), tmp_path / "out")
-    assert content_of(tmp_path) == before
-    assert len(fake_scenarios.measured) == 2
-
-
-def test_overwriting_replaces_results_and_removes_stale_ones(load, tmp_path):
+def test_results_are_replaced_only_if_asked_and_nothing_stale_stays(
+    load, fake_scenarios, tmp_path
+):
     out = tmp_path / "out"
     run_scenario(load(), out)
     (out / "notes.txt").write_text("mine")
+    # A summary names files of its own folder only, whatever it says.
+    (tmp_path / "precious.txt").write_text("mine")
+    summary = json.loads((out / "summary.json").read_text())
+    summary["logs"] += ["../precious.txt", str(tmp_path / "precious.txt")]
+    (out / "summary.json").write_text(json.dumps(summary))
+    before = content_of(tmp_path)
+    with pytest.raises(OutputExistsError, match=r"already holds summary\.json, scenario\.yaml"):
+        run_scenario(load(size=9), out)
+    assert content_of(tmp_path) == before
+    assert len(fake_scenarios.measured) == 2
     run_scenario(load(exhibit="cubes"), out, overwrite=True)
     others = FILES - {"squares.png", "squares_table.csv"}
     assert names_in(out) == {*others, "cubes.png", "cubes_table.csv", "notes.txt"}
-    assert (out / "notes.txt").read_text() == "mine"
+    assert names_in(tmp_path) == {"out", "precious.txt"}
 
 
 @pytest.mark.parametrize("name", ["squares.png", "log.parquet", "summary.json"])
@@ -130,46 +117,28 @@ def test_foreign_files_stay(load, tmp_path, name, resume):
 
 
 def test_resuming_replaces_an_earlier_result_and_nothing_else(load, tmp_path):
-    out = tmp_path / "out"
-    run_scenario(load(), out)
-    (out / "cubes.png").write_text("mine")
-    before = content_of(out)
+    run_scenario(load(), tmp_path)
+    (tmp_path / "cubes.png").write_text("mine")
+    before = content_of(tmp_path)
     with pytest.raises(OutputExistsError, match=r"already holds cubes\.png"):
-        run_scenario(load(exhibit="cubes"), out, resume=True)
-    assert content_of(out) == before
-    run_scenario(load(exhibit="more"), out, resume=True)
-    assert {"more.png", "cubes.png"} < names_in(out)
-    assert "squares.png" not in names_in(out)
-    assert (out / "cubes.png").read_text() == "mine"
-
-
-def test_a_summary_names_files_of_its_folder_only(load, tmp_path):
-    out = tmp_path / "out"
-    run_scenario(load(), out)
-    (tmp_path / "precious.txt").write_text("mine")
-    summary = json.loads((out / "summary.json").read_text())
-    summary["logs"] = ["../precious.txt", str(tmp_path / "precious.txt")]
-    (out / "summary.json").write_text(json.dumps(summary))
-    run_scenario(load(), out, overwrite=True)
-    assert (tmp_path / "precious.txt").read_text() == "mine"
+        run_scenario(load(exhibit="cubes"), tmp_path, resume=True)
+    assert content_of(tmp_path) == before
+    run_scenario(load(exhibit="more"), tmp_path, resume=True)
+    assert {"more.png", "cubes.png"} < names_in(tmp_path)
+    assert "squares.png" not in names_in(tmp_path)
+    assert (tmp_path / "cubes.png").read_text() == "mine"
 
 
 def test_a_failure_leaves_the_trials_and_nothing_else(load, fake_scenarios, tmp_path):
-    out = tmp_path / "out"
     with pytest.raises(RuntimeError, match="no ink"):
-        run_scenario(load(error="no ink"), out)
-    assert names_in(out) == {"trials"}
-    run_scenario(load(), out)
-    assert names_in(out) == FILES
+        run_scenario(load(error="no ink"), tmp_path)
+    assert names_in(tmp_path) == {"trials"}
+    run_scenario(load(), tmp_path)
+    assert names_in(tmp_path) == FILES
     assert len(fake_scenarios.measured) == 2
 
 
-def test_a_trial_that_fails_is_an_error_of_the_experiment(load, tmp_path):
-    with pytest.raises(ExperimentError, match=r"2 of 2 trials .* the size cannot be -1"):
-        run_scenario(load(size=-1), tmp_path / "out")
-
-
-def test_bad_input_is_found_before_the_work(load, fake_scenarios, tmp_path):
+def test_bad_input_and_failing_trials_are_errors(load, fake_scenarios, tmp_path):
     (tmp_path / "file").write_text("mine")
     with pytest.raises(ConfigurationError, match="file is not a folder"):
         run_scenario(load(), tmp_path / "file" / "out")
@@ -177,6 +146,8 @@ def test_bad_input_is_found_before_the_work(load, fake_scenarios, tmp_path):
         run_scenario(load(), tmp_path / "out", jobs=0)
     assert fake_scenarios.measured == []
     assert names_in(tmp_path) == {"file"}
+    with pytest.raises(ExperimentError, match=r"2 of 2 trials .* the size cannot be -1"):
+        run_scenario(load(size=-1), tmp_path / "out")
 
 
 # Results that are there.
@@ -184,10 +155,10 @@ def test_bad_input_is_found_before_the_work(load, fake_scenarios, tmp_path):
 
 def test_a_result_is_known_by_its_scenario_and_its_code(load, tmp_path, monkeypatch):
     scenario = load(size=5)
-    run_scenario(scenario, tmp_path / "out")
-    summary = stored_summary(tmp_path / "out")
+    run_scenario(scenario, tmp_path)
+    summary = stored_summary(tmp_path)
     assert is_result_of(summary, scenario)
-    assert is_result_of(summary, load_scenario(tmp_path / "out" / "scenario.yaml"))
+    assert is_result_of(summary, load_scenario(tmp_path / "scenario.yaml"))
     other = load(size=6)
     other.title = scenario.title
     assert not is_result_of(summary, other)
@@ -195,21 +166,19 @@ def test_a_result_is_known_by_its_scenario_and_its_code(load, tmp_path, monkeypa
     assert is_result_of(summary, other)
     other.title = "Another title"
     assert not is_result_of(summary, other)
-    monkeypatch.setattr(running, "code_digest", lambda *modules, drawing: "other")
+    monkeypatch.setattr(running, "code_digest", lambda *roots: "other")
     assert not is_result_of(summary, scenario)
 
 
-@pytest.mark.parametrize("name", sorted(FILES - {"trials"}))
-def test_a_result_that_misses_a_file_is_none(load, tmp_path, name):
-    run_scenario(load(), tmp_path)
-    assert stored_summary(tmp_path) is not None
-    (tmp_path / name).unlink()
-    assert stored_summary(tmp_path) is None
-
-
-@pytest.mark.parametrize("text", ["", "{", "[1]", "{}", "null", '{"exhibits": 1}'])
-def test_a_damaged_summary_is_none(load, tmp_path, text):
-    run_scenario(load(), tmp_path)
-    (tmp_path / "summary.json").write_text(text)
-    assert stored_summary(tmp_path) is None
+def test_a_result_that_is_damaged_or_misses_a_file_is_none(load, tmp_path):
+    scenario = load()
+    for name in FILES - {"trials"}:
+        run_scenario(scenario, tmp_path, overwrite=True)
+        assert stored_summary(tmp_path) is not None
+        (tmp_path / name).unlink()
+        assert stored_summary(tmp_path) is None, name
+    run_scenario(scenario, tmp_path, overwrite=True)
+    for text in ("", "{", "[1]", "{}", "null", '{"exhibits": 1}'):
+        (tmp_path / "summary.json").write_text(text)
+        assert stored_summary(tmp_path) is None, text
     assert stored_summary(tmp_path / "nowhere") is None

@@ -7,30 +7,46 @@ from functools import reduce
 from importlib.resources import files
 import operator
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from pydrake.common.yaml import yaml_dump_typed, yaml_load_file, yaml_load_typed
 import yaml
 
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.experiments.outcome import Outcome
-from sgvf_drake.experiments.paper import KINDS, NoExperiment
-from sgvf_drake.experiments.workbench import Workbench
+from sgvf_drake.paper.baselines import BaselineComparison
+from sgvf_drake.paper.corners import Corners
+from sgvf_drake.paper.flights import Flights
+from sgvf_drake.paper.indexing import Indexing
+from sgvf_drake.paper.loss_ablation import LossAblation
+from sgvf_drake.paper.overview import Overview
+from sgvf_drake.paper.recipe_ablation import RecipeAblation
+from sgvf_drake.paper.stein import SteinIdentity
+from sgvf_drake.paper.vanishing import ScoreVanishing
 
 BASE = "scenario"
 """The part of a file that is complete; every other part is a named override of it."""
 
-_PACKAGED = Path(str(files("sgvf_drake") / "scenarios"))
+KINDS: tuple[type, ...] = (
+    BaselineComparison,
+    Corners,
+    Flights,
+    Indexing,
+    LossAblation,
+    Overview,
+    RecipeAblation,
+    ScoreVanishing,
+    SteinIdentity,
+)
+"""The kinds of experiment; the name of a class is its tag in a scenario."""
+
+
+@dataclass
+class NoExperiment:
+    """Stands where a scenario names no kind."""
+
+
+_PACKAGED = Path(str(files("sgvf_drake.paper") / "scenarios"))
 _Kind: Any = reduce(operator.or_, KINDS, NoExperiment)
-
-
-class Experiment(Protocol):
-    """A kind of experiment: its options, and the run."""
-
-    seeds: list[int]
-
-    def run(self, bench: Workbench) -> Outcome:
-        """Runs its trials on a bench and says what they show."""
 
 
 @dataclass

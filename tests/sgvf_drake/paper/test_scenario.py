@@ -5,8 +5,8 @@ from dataclasses import asdict
 import pytest
 
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.experiments import load_scenario, override_names, scenario, scenario_names
-from sgvf_drake.experiments.paper import KINDS
+from sgvf_drake.paper import load_scenario, override_names, scenario, scenario_names
+from sgvf_drake.paper.scenario import KINDS
 
 QUICK = "quick"
 
@@ -19,41 +19,30 @@ def experiment_of(name, *overrides, settings=()):
 
 
 @pytest.mark.parametrize("name", scenario_names())
-def test_every_scenario_is_whole_and_has_a_quick_case(name):
+def test_every_scenario_is_whole_and_has_a_quick_case(name, tmp_path):
     full, quick = load_scenario(name), load_scenario(name, [QUICK])
     for loaded in (full, quick):
         assert loaded.title
         assert loaded.source
         assert isinstance(loaded.experiment, KINDS)
         assert loaded.experiment.seeds
+        # What is run can be written and read back.
+        path = tmp_path / "scenario.yaml"
+        path.write_text(loaded.to_yaml())
+        assert load_scenario(path) == loaded
     assert (full.title, full.source) == (quick.title, quick.source)
     assert full.experiment != quick.experiment
     assert len(quick.experiment.seeds) <= len(full.experiment.seeds)
-
-
-@pytest.mark.parametrize("overrides", [[], [QUICK]])
-@pytest.mark.parametrize("name", scenario_names())
-def test_what_is_run_can_be_written_and_read_back(name, overrides, tmp_path):
-    loaded = load_scenario(name, overrides)
-    path = tmp_path / "scenario.yaml"
-    path.write_text(loaded.to_yaml())
-    assert load_scenario(path) == loaded
 
 
 def test_every_kind_has_a_scenario():
     used = {type(load_scenario(name).experiment) for name in scenario_names()}
     assert used == set(KINDS)
     assert len({kind.__name__ for kind in KINDS}) == len(KINDS)
+    assert scenario.NoExperiment not in KINDS
 
 
 # Overrides and settings.
-
-
-def test_names_are_those_of_the_files(fake_scenarios):
-    fake_scenarios.write("b")
-    fake_scenarios.write("a")
-    assert scenario_names() == ["a", "b"]
-    assert override_names("a") == [QUICK]
 
 
 def test_an_override_keeps_what_it_does_not_name(fake_scenarios):
@@ -67,6 +56,8 @@ def test_overrides_are_applied_in_their_order(fake_scenarios):
     path = fake_scenarios.write("a", quick="size: 1")
     more = "more:\n  experiment: !FakeExperiment\n    size: 5\n    seeds: [9]\n"
     path.write_text(path.read_text() + more)
+    fake_scenarios.write("b")
+    assert scenario_names() == ["a", "b"]
     base = experiment_of("a")
     assert override_names("a") == [QUICK, "more"]
     assert experiment_of("a", "more", QUICK) == {**base, "size": 1, "seeds": [9]}
@@ -159,7 +150,3 @@ def test_a_file_need_not_be_of_the_package(fake_scenarios, tmp_path):
     assert scenario_names() == []
     assert load_scenario(str(path)).experiment.size == 6
     assert override_names(path) == [QUICK]
-
-
-def test_the_kinds_are_told_apart_by_their_names():
-    assert scenario.NoExperiment not in KINDS

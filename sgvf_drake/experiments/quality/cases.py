@@ -1,13 +1,22 @@
-"""The suites: lists of cases, from a quick look to everything."""
+"""Cases, each one training and what names it; and suites of them, from few to all."""
 
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from enum import StrEnum
+import hashlib
 from pathlib import Path
+import re
+from typing import Any
 
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments import clouds
-from sgvf_drake.experiments.quality.case import STARTS, Case
 from sgvf_drake.paths import SHAPES
+
+# Starts of a case, unless given.
+STARTS = 100
+
+# The columns by which a table is sorted; all but the seed make a group.
+LABELS = ("name", "shape", "sampling", "recipe", "seed")
 
 HEADLINE = ("concentric-circles", "separated-circles")
 # Shapes of the size for which a noise of 0.05 is meant.
@@ -16,6 +25,55 @@ RECIPES = ("paper", "robust", "exact")
 # Seeds of the suites, and starts where they are not those of a case, unless given.
 CLOSED_SEEDS, CLOSED_STARTS = 5, 400
 ROBUSTNESS_SEEDS = 3
+
+
+@dataclass(frozen=True)
+class Case:
+    """One training and what it is measured with.
+
+    Attributes:
+        name: The group of cases it belongs to.
+        cloud: Path of the cloud, one of `clouds.PATHS`; with a source, a name for it.
+        sampling: One of `clouds.SAMPLINGS`.
+        recipe: Of the training.
+        seed: Of the cloud and of the training.
+        starts: Number of starts on a grid over the box.
+        overrides: Names and values of a `TrainingConfig`, beside recipe and seed.
+        source: A file with the ordered path.
+        digest: Of the content of that file, without which another one would be the same case.
+    """
+
+    name: str
+    cloud: str
+    sampling: str = "uniform"
+    recipe: str = "robust"
+    seed: int = 0
+    starts: int = STARTS
+    overrides: tuple[tuple[str, Any], ...] = ()
+    source: str | None = None
+    digest: str | None = None
+
+    @property
+    def key(self) -> str:
+        """The stem of its files; it leaves out starts, overrides and source."""
+        raw = "-".join([self.name, self.cloud, self.sampling, self.recipe, f"seed{self.seed}"])
+        safe = re.sub(r"[^A-Za-z0-9_.-]", "_", raw)
+        if safe == raw:
+            return raw
+        return f"{safe}-{hashlib.sha256(raw.encode()).hexdigest()[:8]}"
+
+    @property
+    def labels(self) -> dict[str, Any]:
+        """Its columns of the table: `LABELS`, starts and key."""
+        return {
+            "name": self.name,
+            "shape": self.cloud,
+            "sampling": self.sampling,
+            "recipe": self.recipe,
+            "seed": self.seed,
+            "starts": self.starts,
+            "key": self.key,
+        }
 
 
 class Suite(StrEnum):
@@ -109,10 +167,19 @@ def _file_cases(folder: Path, seeds: Iterable[int], starts: int) -> list[Case]:
     files = sorted(folder.glob("*.csv"))
     if not files:
         raise ConfigurationError(f"{folder} holds no .csv file")
+    digests = {file: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
     return [
-        Case("circuits", file.stem, "recorded", seed=seed, starts=starts, source=str(file))
+        Case(
+            "circuits",
+            file.stem,
+            "recorded",
+            seed=seed,
+            starts=starts,
+            source=str(file),
+            digest=digest,
+        )
         for seed in seeds
-        for file in files
+        for file, digest in digests.items()
     ]
 
 

@@ -1,15 +1,75 @@
-"""Numbers as people read them: three significant digits, and the interval beside the mean."""
+"""Numbers and tables as people read them: three digits, and intervals beside their means."""
 
+from dataclasses import dataclass
 import math
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from pandas.api.types import is_bool_dtype, is_numeric_dtype
 
 DIGITS = 3
 # What is smaller or not smaller than these is written with a power of ten.
 SMALLEST, LARGEST = 1e-3, 1e6
 MISSING, MINUS, TIMES = "\N{EN DASH}", "\N{MINUS SIGN}", "\N{MULTIPLICATION SIGN}"
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+# Characters from which a text needs width.
+PROSE = 50
+MEAN, LOW, HIGH = " mean", " low", " high"
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table on the page.
+
+    Attributes:
+        columns: What each column holds, with the unit, and what it is to the style sheet:
+            "number", "prose" for long sentences, or "" for words.
+        rows: The texts of the cells.
+        intervals: Whether there are means with their intervals in it.
+    """
+
+    columns: list[tuple[str, str]]
+    rows: list[tuple[str, ...]]
+    intervals: bool
+
+
+def read_table(path: Path) -> Table:
+    """Reads a table of a result; only an empty cell has no value, the text "None" is one."""
+    return view_table(pd.read_csv(path, keep_default_na=False, na_values=[""]))
+
+
+def view_table(table: pd.DataFrame) -> Table:
+    """Returns a table as it is shown; "X mean", "X low" and "X high" become one column X."""
+    columns: list[tuple[str, str]] = []
+    cells: list[list[str]] = []
+    intervals = False
+    for name in map(str, table.columns):
+        stem, what = _part(name, table)
+        if what == MEAN:
+            parts = zip(table[name], table[stem + LOW], table[stem + HIGH], strict=True)
+            texts = [interval_text(*map(float, values)) for values in parts]
+            intervals |= any(text.endswith("]") for text in texts)
+            kind = "number"
+        elif what is None:
+            texts = [cell_text(value) for value in table[name]]
+            kind = "prose" if any(len(text) > PROSE for text in texts) else ""
+            if is_numeric_dtype(table[name]) and not is_bool_dtype(table[name]):
+                kind = "number"
+        else:
+            continue
+        columns.append((stem, kind))
+        cells.append(texts)
+    return Table(columns, list(zip(*cells, strict=True)), intervals)
+
+
+def _part(name: str, table: pd.DataFrame) -> tuple[str, str | None]:
+    """The name of the quantity and which part of its interval a column is, if of one."""
+    for part in (MEAN, LOW, HIGH):
+        stem = name.removesuffix(part)
+        if stem != name and all(stem + each in table for each in (MEAN, LOW, HIGH)):
+            return stem, part
+    return name, None
 
 
 def cell_text(value: object) -> str:
@@ -48,11 +108,6 @@ def interval_text(mean: float, low: float, high: float) -> str:
     else:
         texts = [_signed(_fixed(value, largest)) for value in values]
     return f"{texts[0]} [{texts[1]}, {texts[2]}]"
-
-
-def has_interval(text: str) -> bool:
-    """Whether a text of `interval_text` has more than the mean."""
-    return text.endswith("]")
 
 
 def duration_text(seconds: float) -> str:
