@@ -39,6 +39,7 @@ WRITTEN = [
     *sorted(DOCS.rglob("*.md")),
     *sorted((ROOT / "notebooks").glob("*.ipynb")),
 ]
+HOOKS = ("project_pages", "generated_parts", "formulas")
 # So many words in a row are a sentence, and no accident.
 SENTENCE = 12
 
@@ -81,90 +82,74 @@ def build(folder, site, **variables):
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
-    """The pages by their places in the site, which is built as the checks build it."""
-    folder = tmp_path_factory.mktemp("site")
+    """The folder of the site, which is built as the checks build it, and its pages by place."""
+    folder = tmp_path_factory.mktemp("site").resolve()
     done = build(ROOT, folder)
     assert done.returncode == 0, done.stderr
     assert "WARNING" not in done.stderr
-    return {
-        file.relative_to(folder).as_posix(): Page(file) for file in folder.rglob("*.html")
-    } | {"": folder}
+    places = [file.relative_to(folder).as_posix() for file in folder.rglob("*.html")]
+    return folder, {place: Page(folder / place) for place in places}
 
 
-@pytest.fixture(scope="module")
-def pages(site):
-    # The page for an address that is not there has links from the root of a server.
-    return {place: page for place, page in site.items() if place not in ("", "404.html")}
-
-
-@pytest.mark.parametrize("package", PAGES)
-def test_every_public_name_is_on_the_page_of_its_package(pages, package):
+@pytest.mark.full
+def test_everything_public_is_on_the_pages(site):
+    _, pages = site
     # What has no docstring is left out of a page.  A name that is also that of its module
     # stands there by itself, at the end.
-    ids = pages[PAGES[package]].ids
-    names = importlib.import_module(package).__all__
-    places = {name: {f"{package}.{name}", f"{package}.{name}.{name}"} for name in names}
-    assert [name for name in names if not places[name] & ids] == []
-
-
-def test_every_name_of_the_library_is_listed_with_a_link_to_its_docstring(pages):
-    import sgvf_drake
-
+    for package, page in PAGES.items():
+        for name in importlib.import_module(package).__all__:
+            places = {f"{package}.{name}", f"{package}.{name}.{name}"}
+            assert places & pages[page].ids, (package, name)
     links = {text: href for href, text in pages["api/index.html"].links}
-    for name in sgvf_drake.__all__:
+    for name in importlib.import_module("sgvf_drake").__all__:
         target, _, fragment = links[name].partition("#")
         assert fragment in pages[f"api/{target}"].ids, name
         assert fragment.rpartition(".")[2] == name
-
-
-def test_every_command_is_documented(pages):
     commands = typer.main.get_command(cli.app).commands
     assert len(commands) >= 8
     assert {f"sgvf-{name}" for name in commands} <= pages["commands.html"].ids
+    tutorials = {f"notebooks/{file.stem}.html" for file in (ROOT / "notebooks").glob("*.ipynb")}
+    assert tutorials <= set(pages)
+    assert tutorials <= {href for href, _ in pages["tutorials.html"].links}
 
 
-def test_every_notebook_is_a_tutorial(pages):
-    notebooks = [file.stem for file in (ROOT / "notebooks").glob("*.ipynb")]
-    listed = {href for href, _ in pages["tutorials.html"].links}
-    for name in notebooks:
-        assert f"notebooks/{name}.html" in pages
-        assert f"notebooks/{name}.html" in listed
-
-
+@pytest.mark.full
 def test_every_scenario_is_listed(site):
-    text = (site[""] / "experiments.html").read_text(encoding="utf-8")
+    folder, _ = site
+    text = (folder / "experiments.html").read_text(encoding="utf-8")
     scenarios = sorted((ROOT / "sgvf_drake" / "scenarios").glob("*.yaml"))
     assert scenarios
     for file in scenarios:
         assert f"<code>{file.stem}</code>" in text
 
 
-def test_links_lead_somewhere(site, pages):
+@pytest.mark.full
+def test_links_lead_somewhere_and_nothing_comes_from_a_network(site):
+    folder, pages = site
     checked = 0
     for place, page in pages.items():
+        text = (folder / place).read_text(encoding="utf-8")
+        assert [load for load in page.loads if urlsplit(load or "").netloc] == [], place
+        assert not re.search(r"""import\(\s*["']https?:|//cdn|//unpkg""", text), place
+        assert "arithmatex" not in text, "formulas are MathML"
+        if place == "404.html":
+            continue  # It has links from the root of a server.
         for href in [*(href for href, _ in page.links), *filter(None, page.loads)]:
             parts = urlsplit(href)
             if parts.scheme:
                 continue
-            file = (site[""] / place).parent / unquote(parts.path) if parts.path else None
-            target = site[""] / place if file is None else file.resolve()
+            file = folder / place
+            target = (file.parent / unquote(parts.path)).resolve() if parts.path else file
             assert target.is_file(), (place, href)
             if parts.fragment:
-                ids = site[target.relative_to(site[""].resolve()).as_posix()].ids
+                ids = pages[target.relative_to(folder).as_posix()].ids
                 assert unquote(parts.fragment) in ids | {"__codelineno"}, (place, href)
             checked += 1
     assert checked > 1000
-
-
-def test_nothing_comes_from_a_network(site, pages):
-    for place, page in pages.items():
-        assert [load for load in page.loads if urlsplit(load or "").netloc] == [], place
-        text = (site[""] / place).read_text(encoding="utf-8")
-        assert not re.search(r"""import\(\s*["']https?:|//cdn|//unpkg""", text), place
-    for file in site[""].rglob("*.css"):
+    for file in folder.rglob("*.css"):
         assert not re.search(r"(url\(|@import)\s*[\"']?https?:", file.read_text("utf-8")), file
     # The index of the search, which a page from the file system cannot fetch.
-    assert (site[""] / "search" / "search_index.js").is_file()
+    assert (folder / "search" / "search_index.js").is_file()
     assert "assets/iframe-worker.js" in pages["index.html"].loads
 
 
@@ -215,13 +200,14 @@ def command_lines():
     return [line for line in lines if line.startswith("sgvf ")]
 
 
-@pytest.mark.parametrize("line", command_lines())
-def test_commands_parse(line):
+def test_commands_parse():
     group = typer.main.get_command(cli.app)
-    _, *arguments = shlex.split(line)
-    with group.make_context("sgvf", list(arguments)) as context:
-        name, command, rest = group.resolve_command(context, arguments)
-        command.make_context(name, rest, parent=context)
+    assert command_lines()
+    for line in command_lines():
+        _, *arguments = shlex.split(line)
+        with group.make_context("sgvf", list(arguments)) as context:
+            name, command, rest = group.resolve_command(context, arguments)
+            command.make_context(name, rest, parent=context)
 
 
 def test_scenarios_in_the_docs_are_scenarios(tmp_path):
@@ -250,7 +236,7 @@ def project(tmp_path):
     (tmp_path / "README.md").write_text("# Home\n\n[guide](docs/guide.md#part)\n")
     (tmp_path / "docs" / "guide.md").write_text(
         "# Guide\n\n## Part\n\n[home](../README.md), [license](../LICENSE)\n\n"
-        "<!-- notebooks -->\n"
+        "<!-- notebooks -->\n\n$$\\lvert S \\rvert \\le \\sigma$$\n\nand $\\log p < 1$\n"
     )
     for name in ("CHANGELOG.md", "CONTRIBUTING.md", "LICENSE"):
         (tmp_path / name).write_text(f"# {name}\n")
@@ -258,8 +244,9 @@ def project(tmp_path):
         "site_name": "small",
         "use_directory_urls": False,
         "exclude_docs": "hooks/",
-        "hooks": ["docs/hooks/project_pages.py", "docs/hooks/generated_parts.py"],
+        "hooks": [f"docs/hooks/{name}.py" for name in HOOKS],
         "plugins": [],
+        "markdown_extensions": [{"pymdownx.arithmatex": {"generic": True}}],
         "nav": [{"Home": "README.md"}, {"Tutorials": ["guide.md"]}],
         "not_in_nav": "C*.md",
         "validation": {"anchors": "warn"},
@@ -274,48 +261,46 @@ def test_links_of_the_repository_are_links_of_the_site(project):
     home, guide = (Page(project / "site" / name) for name in ("index.html", "guide.html"))
     assert ["guide.html#part", "guide"] in home.links
     assert {"index.html", "LICENSE", "notebooks/00_a.ipynb"} <= {h for h, _ in guide.links}
+    text = (project / "site" / "guide.html").read_text(encoding="utf-8")
+    block, inline = re.findall(r"<math.*?</math>", text, flags=re.DOTALL)
+    assert 'display="block"' in block
+    assert 'form="prefix">&#x0007C;</mo><mi>S</mi>' in block
+    assert "<mi>&#x003C3;</mi>" in block
+    assert 'display="inline"' in inline
+    assert '<mi>log</mi><mspace width="0.17em"/><mi>p</mi><mo>&#x0003C;</mo>' in inline
 
 
-@pytest.mark.parametrize("link", ["docs/gone.md", "docs/guide.md#gone", "notebooks/9.ipynb"])
-def test_a_broken_link_fails_the_build(project, link):
-    (project / "README.md").write_text(f"# Home\n\n[broken]({link})\n")
+def test_a_broken_link_fails_the_build(project):
+    links = ["docs/gone.md", "docs/guide.md#gone", "notebooks/9.ipynb"]
+    text = "# Home\n\n" + "\n".join(f"[broken]({link})" for link in links)
+    (project / "README.md").write_text(text)
     done = build(project, project / "site")
     assert done.returncode != 0
-    assert "gone" in done.stderr or "9.ipynb" in done.stderr
+    for name in ("gone.md", "guide.md#gone", "9.ipynb"):
+        assert name in done.stderr, name
 
 
-@pytest.fixture(scope="module")
-def read_systems():
-    """The package `systems` as the pages read it, without importing it."""
-    extensions = griffe.load_extensions(str(DOCS / "hooks" / "drake_docstrings.py"))
-    return griffe.load("systems", search_paths=[str(ROOT)], extensions=extensions)
-
-
-def template_systems():
+def test_template_systems_are_read_as_they_are():
     import systems
 
+    # As the pages read the package: without importing it.
+    extensions = griffe.load_extensions(str(DOCS / "hooks" / "drake_docstrings.py"))
+    read_systems = griffe.load("systems", search_paths=[str(ROOT)], extensions=extensions)
     names = [name for name in systems.__all__ if f"{name}_" in systems.__all__]
     assert len(names) >= 6
-    return names
-
-
-@pytest.mark.parametrize("name", template_systems())
-def test_template_systems_are_read_as_they_are(read_systems, name):
-    import systems
-
-    system = getattr(systems, name)
-    documented = read_systems[name].final_target
-    own, read = inspect.getdoc(system), documented.docstring.value.replace("\\*", "*")
-    before, diagram, after = re.split(r"(\.\. pydrake_system::\n\n(?: .*\n)+\n)", own)
-    # The port diagram has become a table; all else is as it was.
-    assert read.startswith(before)
-    assert read.endswith(after)
-    table = read.removeprefix(before).removesuffix(after)
-    assert table.startswith("| input ports | output ports |")
-    ports = yaml.safe_load(diagram.partition("\n")[2])
-    assert re.findall("`(.*?)`", table) == [*ports["input_ports"], *ports["output_ports"]]
-    expected = list(inspect.signature(system._construct).parameters.values())[1:-1]
-    parameters = list(documented.parameters)[1:]
-    assert [p.name for p in parameters] == [p.name for p in expected]
-    required = [p.name for p in parameters if p.default is None]
-    assert required == [p.name for p in expected if p.default is p.empty]
+    for name in names:
+        system, documented = getattr(systems, name), read_systems[name].final_target
+        own, read = inspect.getdoc(system), documented.docstring.value.replace("\\*", "*")
+        before, diagram, after = re.split(r"(\.\. pydrake_system::\n\n(?: .*\n)+\n)", own)
+        # The port diagram has become a table; all else is as it was.
+        assert read.startswith(before)
+        assert read.endswith(after)
+        table = read.removeprefix(before).removesuffix(after)
+        assert table.startswith("| input ports | output ports |")
+        ports = yaml.safe_load(diagram.partition("\n")[2])
+        assert re.findall("`(.*?)`", table) == [*ports["input_ports"], *ports["output_ports"]]
+        expected = list(inspect.signature(system._construct).parameters.values())[1:-1]
+        parameters = list(documented.parameters)[1:]
+        assert [p.name for p in parameters] == [p.name for p in expected]
+        required = [p.name for p in parameters if p.default is None]
+        assert required == [p.name for p in expected if p.default is p.empty]

@@ -1,6 +1,8 @@
 """Every notebook runs from a fresh folder, and is stored without what it printed."""
 
+import ast
 from pathlib import Path
+from types import ModuleType
 
 import nbclient
 import nbformat
@@ -40,20 +42,27 @@ def test_nothing_is_stored(file):
 
 
 @notebook_cases()
-def test_only_public_names_are_used(file):
-    lines = [
-        line.split()
-        for cell in code_cells(nbformat.read(file, as_version=4))
-        for line in cell.source.splitlines()
-    ]
-    imported = [words[1] for words in lines if words and words[0] in ("import", "from")]
-    assert imported
-    for module in imported:
-        parts = module.split(".")
-        assert parts[0] in PUBLIC, module
-        assert not any(part.startswith("_") for part in parts), module
+def test_only_public_names_are_used_and_they_exist(file):
+    source = "\n".join(cell.source for cell in code_cells(nbformat.read(file, as_version=4)))
+    tree = ast.parse(source.replace("%matplotlib inline", ""))
+    imports = [part for part in tree.body if isinstance(part, ast.Import | ast.ImportFrom)]
+    names = {}
+    exec(compile(ast.Module(imports, []), file.name, "exec"), names)
+    modules = {key: value for key, value in names.items() if isinstance(value, ModuleType)}
+    assert "sgvf" in modules
+    for part in imports:
+        sources = [part.module] if isinstance(part, ast.ImportFrom) else []
+        for module in sources or [name.name for name in part.names]:
+            first, *others = module.split(".")
+            assert first in PUBLIC, module
+            assert not any(other.startswith("_") for other in others), module
+    for part in ast.walk(tree):
+        if isinstance(part, ast.Attribute) and isinstance(part.value, ast.Name):
+            module = modules.get(part.value.id)
+            assert module is None or hasattr(module, part.attr), ast.unparse(part)
 
 
+@pytest.mark.full
 @notebook_cases()
 def test_it_runs_and_shows_pictures(file, tmp_path, monkeypatch):
     # Whatever it writes, and whatever the kernel keeps, goes here.

@@ -5,7 +5,6 @@ over the square as it stands (its natural extension), and by the mean value theo
 at the centre, and bounds of the Jacobian over the square.
 """
 
-from collections.abc import Callable
 from functools import partial
 from itertools import pairwise
 import time
@@ -17,13 +16,11 @@ import pytest
 
 from sgvf_drake.certificate.boxes import CHUNK, Boxes
 from sgvf_drake.certificate.network_model import model_network
-from sgvf_drake.fields import FloatArray, Perceptron, find_activation
+from sgvf_drake.fields import Perceptron, find_activation
 from tests.sgvf_drake.certificate.ball_fields import BallNetwork
 
 pytestmark = pytest.mark.benchmark
 
-Save = Callable[[pd.DataFrame, str], None]
-Bounds = tuple[FloatArray, FloatArray]
 WIDTHS = (2, 64, 64, 2)
 HALVES = (0.05, 0.02, 0.01)
 # Squares that each is timed over, and points at which the network is sampled on each of them.
@@ -33,7 +30,7 @@ REPEATS = 3
 ROUNDING = 1e-12
 
 
-def plain_network(activation: str) -> Perceptron:
+def plain_network(activation):
     rng = np.random.default_rng(0)
     shapes = [(outputs, inputs) for inputs, outputs in pairwise(WIDTHS)]
     return Perceptron(
@@ -43,7 +40,7 @@ def plain_network(activation: str) -> Perceptron:
     )
 
 
-def by_models(network: Perceptron, boxes: Boxes) -> Bounds:
+def by_models(network, boxes):
     parts = [boxes[start : start + CHUNK] for start in range(0, len(boxes), CHUNK)]
     models = [model_network(network, part) for part in parts]
     return (
@@ -52,7 +49,7 @@ def by_models(network: Perceptron, boxes: Boxes) -> Bounds:
     )
 
 
-def by_balls(network: Perceptron, boxes: Boxes, *, centred: bool) -> Bounds:
+def by_balls(network, boxes, *, centred):
     """The natural extension; or what it has in common with the mean value form."""
     balls = BallNetwork(network)
     bounds = []
@@ -71,16 +68,14 @@ def by_balls(network: Perceptron, boxes: Boxes, *, centred: bool) -> Bounds:
     return tuple(np.moveaxis(np.array(bounds), 2, 0))
 
 
-METHODS: dict[str, tuple[int, Callable[[Perceptron, Boxes], Bounds]]] = {
+METHODS = {
     "Taylor models": (MANY, by_models),
     "Arb, natural": (FEW, partial(by_balls, centred=False)),
     "Arb, mean value": (FEW, partial(by_balls, centred=True)),
 }
 
 
-def seconds(
-    call: Callable[[Perceptron, Boxes], Bounds], network: Perceptron, boxes: Boxes
-) -> float:
+def seconds(call, network, boxes):
     """The best of several, of the process: others on the machine only make it longer."""
     taken = []
     for _ in range(REPEATS):
@@ -90,7 +85,7 @@ def seconds(
     return min(taken)
 
 
-def sampled(network: Perceptron, boxes: Boxes, rng: np.random.Generator) -> Bounds:
+def sampled(network, boxes, rng):
     """The smallest and the largest value at random points and in the corners."""
     corners = np.array([[x, y] for x in (-1, 0, 1) for y in (-1, 0, 1)])
     steps = np.concatenate([corners, rng.uniform(-1, 1, (SAMPLES, 2))])
@@ -99,7 +94,7 @@ def sampled(network: Perceptron, boxes: Boxes, rng: np.random.Generator) -> Boun
     return values.min(axis=1), values.max(axis=1)
 
 
-def compare(activation: str, half: float) -> list[dict[str, object]]:
+def compare(activation, half):
     network, rng = plain_network(activation), np.random.default_rng(1)
     boxes = Boxes(rng.uniform(-4, 4, (MANY, 2)), np.full(MANY, half))
     least, most = sampled(network, boxes, rng)
@@ -126,7 +121,7 @@ def compare(activation: str, half: float) -> list[dict[str, object]]:
     return rows
 
 
-def test_bounds_beside_arb(save: Save) -> None:
+def test_bounds_beside_arb(save):
     rows = [
         row
         for activation in ("SiLU", "Tanh")

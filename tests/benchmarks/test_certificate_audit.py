@@ -4,8 +4,6 @@ Run by `make bench`; the table is printed and saved in build/bench.  A few squar
 audit are among the tests.
 """
 
-from collections.abc import Callable
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -17,7 +15,6 @@ from tests.sgvf_drake.certificate.audit import audit, random_boxes
 
 pytestmark = pytest.mark.benchmark
 
-Save = Callable[[pd.DataFrame, str], None]
 CASES = (
     ("concentric-circles", "robust", 1.0),
     ("star", "robust", 1.4),
@@ -30,7 +27,7 @@ SQUARES = 40
 """Of each size, for each field."""
 
 
-def audit_case(shape: str, recipe: str, ratio: float) -> list[dict[str, object]]:
+def audit_case(shape, recipe, ratio):
     cloud, _ = sgvf.make_shape(shape)
     field = sgvf.train(cloud, sgvf.TrainingConfig(recipe=recipe)).field
     mixture = mixture_of(field, ratio * field.sigma)
@@ -53,7 +50,7 @@ def audit_case(shape: str, recipe: str, ratio: float) -> list[dict[str, object]]
     return rows
 
 
-def test_models_hold_what_balls_say(save: Save) -> None:
+def test_models_hold_what_balls_say(save):
     rows = pd.DataFrame([row for case in CASES for row in audit_case(*case)])
     table = rows.groupby(["half-side", "of"], sort=False, as_index=False).agg(
         {"values": "sum", "violations": "sum", "largest part of the remainder": "max"}

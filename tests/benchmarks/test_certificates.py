@@ -3,9 +3,7 @@
 Run by `make bench`; the tables are printed and saved in build/bench.
 """
 
-from collections.abc import Callable
 import time
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -13,12 +11,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import sgvf_drake as sgvf
-from sgvf_drake.certificate import Certificate, check
-from sgvf_drake.fields import FloatArray
+from sgvf_drake.certificate import check
 
 pytestmark = pytest.mark.benchmark
 
-Save = Callable[[pd.DataFrame, str], None]
 SEEDS = (0, 1, 2)
 SHAPES = (
     *("concentric-circles", "separated-circles", "concentric-flight", "separated-flight"),
@@ -26,17 +22,17 @@ SHAPES = (
 )
 
 
-def lap_time(field: sgvf.GuidingField, center: FloatArray, start: FloatArray) -> float:
+def lap_time(field, center, start):
     """The time of the second lap about a point, by SciPy; as of the field, in its own unit."""
 
-    def rate(_: float, state: FloatArray) -> FloatArray:
+    def rate(_, state):
         p, m = state[:2] - center, field(state[None, :2])[0]
         return np.array([*m, (p[0] * m[1] - p[1] * m[0]) / (p @ p)])
 
-    def first(_: float, state: FloatArray) -> float:
+    def first(_, state):
         return float(abs(state[2]) - 2 * np.pi)
 
-    def second(_: float, state: FloatArray) -> float:
+    def second(_, state):
         return float(abs(state[2]) - 4 * np.pi)
 
     second.terminal = True  # type: ignore[attr-defined]
@@ -52,7 +48,7 @@ def lap_time(field: sgvf.GuidingField, center: FloatArray, start: FloatArray) ->
     return float(run.t_events[1][0] - run.t_events[0][0])
 
 
-def laps_of(field: sgvf.GuidingField, found: Certificate) -> list[dict[str, Any]]:
+def laps_of(field, found):
     """What is proved of each piece, beside the lap that is simulated."""
     rows = []
     for piece, annulus in zip(found.pieces, found.annuli, strict=True):
@@ -68,9 +64,8 @@ def laps_of(field: sgvf.GuidingField, found: Certificate) -> list[dict[str, Any]
     return rows
 
 
-def test_certificates_of_trained_fields(save: Save) -> None:
-    rows: list[dict[str, Any]] = []
-    laps: list[dict[str, Any]] = []
+def test_certificates_of_trained_fields(save):
+    rows, laps = [], []
     for shape in SHAPES:
         for seed in SEEDS:
             cloud, path = sgvf.make_shape(shape, seed=seed)

@@ -3,9 +3,6 @@
 Run by `make bench`; the times are printed and saved in build/bench.
 """
 
-from collections.abc import Callable
-from pathlib import Path
-
 import pandas as pd
 import pytest
 
@@ -13,10 +10,8 @@ from sgvf_drake.paper import run_reproduce, scenario_names
 
 pytestmark = pytest.mark.benchmark
 
-Save = Callable[[pd.DataFrame, str], None]
 
-
-def test_every_experiment_runs(save: Save, tmp_path: Path) -> None:
+def test_every_experiment_runs(save, tmp_path):
     summary = run_reproduce(tmp_path / "out", quick=True)
     entries = summary["scenarios"]
     save(

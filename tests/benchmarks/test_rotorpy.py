@@ -12,13 +12,11 @@ motors from the same hover, sampled at 100 Hz; what follows the path differs:
 Without rotor dynamics on both sides: RotorPy lets its rotors follow with a time constant that
 cannot be zero, so here they are set to what is commanded before each step and then held.
 Drag is off.  RotorPy integrates with SciPy's RK45 at its default tolerance, Drake with
-runge_kutta3 at 5 ms.  RotorPy's own run has the sensors that it always simulates; "bare" is
-its vehicle, controller and trajectory in a loop without them and without a log.
+runge_kutta3 at 5 ms.  RotorPy's run has the sensors that it always simulates.
 """
 
-from collections.abc import Callable
 import time
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -37,10 +35,9 @@ from systems import (
     QuadrotorParameters,
     SetHover,
 )
+from tests.benchmarks.circle import Circle
 
 pytestmark = pytest.mark.benchmark
-
-Save = Callable[[pd.DataFrame, str], None]
 
 
 class Flight(NamedTuple):
@@ -50,7 +47,6 @@ class Flight(NamedTuple):
     wall: float
 
 
-Run = Callable[[], Flight]
 RADIUS, ALTITUDE = 1.0, 1.0
 SPEEDS = (0.45, 2.0)
 SAMPLE_PERIOD = 0.01
@@ -65,7 +61,7 @@ HOVER_SPEED = np.sqrt(PARAMETERS.hover_force / THRUST_COEFFICIENT)
 ROTOR_DIRECTIONS = ((1, 0, 0), (0, 1, 0), (-1, 0, 0), (0, -1, 0))
 
 
-def rotorpy_parameters() -> dict[str, Any]:
+def rotorpy_parameters():
     """The vehicle of `QuadrotorParameters` in RotorPy's words."""
     Ixx, Iyy, Izz = PARAMETERS.inertia
     no_drag = dict.fromkeys(("c_Dx", "c_Dy", "c_Dz", "k_d", "k_z", "k_h", "k_flap"), 0.0)
@@ -91,7 +87,7 @@ def rotorpy_parameters() -> dict[str, Any]:
 class InstantRotors(Multirotor):
     """RotorPy's vehicle with rotors that are at once as fast as commanded."""
 
-    def step(self, state: Any, control: Any, t_step: float) -> Any:
+    def step(self, state, control, t_step):
         speeds = np.clip(
             self.get_cmd_motor_speeds(state, control),
             self.rotor_speed_min,
@@ -100,7 +96,7 @@ class InstantRotors(Multirotor):
         return super().step({**state, "rotor_speeds": speeds}, control, t_step)
 
 
-def make_rotorpy(speed: float, own_gains: bool = True) -> Environment:
+def make_rotorpy(speed, own_gains=True):
     parameters = rotorpy_parameters()
     if not own_gains:
         wn, zeta = DEFAULT_GAINS.attitude_bandwidth, DEFAULT_GAINS.damping_ratio
@@ -126,28 +122,14 @@ def make_rotorpy(speed: float, own_gains: bool = True) -> Environment:
     )
 
 
-def run_rotorpy(environment: Environment, duration: float) -> Flight:
+def run_rotorpy(environment, duration):
     """As RotorPy's users run it."""
     begin = time.perf_counter()
     result = environment.run(t_final=duration)
     return Flight(result["state"]["x"], time.perf_counter() - begin)
 
 
-def run_rotorpy_bare(environment: Environment, duration: float) -> Flight:
-    """Nothing but vehicle, controller and trajectory."""
-    state = dict(environment.vehicle.initial_state)
-    positions = [state["x"]]
-    begin = time.perf_counter()
-    for k in range(round(duration / SAMPLE_PERIOD)):
-        t = k * SAMPLE_PERIOD
-        flat_output = environment.trajectory.update(t)
-        control = environment.controller.update(t, state, flat_output)
-        state = environment.vehicle.step(state, control, SAMPLE_PERIOD)
-        positions.append(state["x"])
-    return Flight(np.array(positions), time.perf_counter() - begin)
-
-
-def run_drake(field: sgvf.Field, speed: float, duration: float) -> Flight:
+def run_drake(field, speed, duration):
     """As users of this project run it, with its logs."""
     diagram = MakeFlightDiagram(field, speed=speed, altitude=ALTITUDE)
     simulator = MakeSimulator(diagram)
@@ -161,43 +143,15 @@ def run_drake(field: sgvf.Field, speed: float, duration: float) -> Flight:
     return Flight(log.data()[:3].T, wall)
 
 
-class ClosedFormCircle:
-    """A field of length one around the unit circle, whose Jacobian is known.
-
-    With the direction to the axis -n, the tangent t and z = gain (1 - r), it is
-    (z n + t) / sqrt(1 + z^2).
-    """
-
-    dim = 2
-
-    def __init__(self, gain: float) -> None:
-        self._gain = gain
-
-    def __call__(self, x: np.ndarray) -> np.ndarray:
-        return self.value_and_jacobian(x)[0]
-
-    def value_and_jacobian(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        r = np.hypot(*x)
-        n = x / r
-        t = np.array([-n[1], n[0]])
-        z = self._gain * (1.0 - r)
-        c = 1.0 / np.sqrt(1.0 + z * z)
-        s = z * c
-        return s * n + c * t, np.outer(s * t - c * n, self._gain * c * c * n + t / r)
-
-    def hessian(self, x: np.ndarray) -> np.ndarray:
-        raise NotImplementedError
-
-
 @pytest.fixture(scope="module")
-def learned() -> sgvf.GuidingField:
+def learned():
     """The field of 200 waypoints on the circle, in metres."""
     cloud, path = sgvf.make_shape("circle")
     scale = RADIUS / np.linalg.norm(path.pieces[0].vertices[0])
     return sgvf.train(sgvf.PointCloud(scale * cloud.points)).field
 
 
-def cross_track_error(positions: np.ndarray, speed: float) -> dict[str, float]:
+def cross_track_error(positions, speed):
     """Distance to the circle over the last lap."""
     lap = positions[-round(2.0 * np.pi * RADIUS / speed / SAMPLE_PERIOD) :]
     distance = np.hypot(np.hypot(lap[:, 0], lap[:, 1]) - RADIUS, lap[:, 2] - ALTITUDE)
@@ -207,22 +161,21 @@ def cross_track_error(positions: np.ndarray, speed: float) -> dict[str, float]:
     }
 
 
-def flights(learned: sgvf.Field, speed: float, duration: float) -> dict[str, Run]:
+def flights(learned, speed, duration):
     """What is compared, by name."""
     rotorpy = make_rotorpy(speed)
     same_attitude_gains = make_rotorpy(speed, own_gains=False)
     # As wide as a learned field is flown at 2 m/s.
-    closed_form = ClosedFormCircle(gain=2.0)
+    closed_form = Circle(gain=2.0)
     return {
         "RotorPy": lambda: run_rotorpy(rotorpy, duration),
-        "RotorPy, bare": lambda: run_rotorpy_bare(rotorpy, duration),
         "RotorPy, our attitude gains": lambda: run_rotorpy(same_attitude_gains, duration),
         "closed-form field": lambda: run_drake(closed_form, speed, duration),
         "learned field": lambda: run_drake(learned, speed, duration),
     }
 
 
-def test_both_fly_the_same_vehicle() -> None:
+def test_both_fly_the_same_vehicle():
     vehicle = make_rotorpy(1.0).vehicle
     np.testing.assert_allclose(vehicle.f_to_TM, PARAMETERS.MixingMatrix(), atol=1e-15)
     plant = PARAMETERS.MakePlant()
@@ -261,8 +214,8 @@ def test_both_fly_the_same_vehicle() -> None:
         np.testing.assert_allclose(found["wdot"], to_body @ rates[9:], atol=1e-10)
 
 
-def test_closed_form_field_is_what_it_says() -> None:
-    circle, step = ClosedFormCircle(2.0), 1e-6 * np.eye(2)
+def test_closed_form_field_is_what_it_says():
+    circle, step = Circle(2.0), 1e-6 * np.eye(2)
     for x in np.random.default_rng(0).uniform(-1.3, 1.3, (50, 2)):
         m, J = circle.value_and_jacobian(x)
         assert np.linalg.norm(m) == pytest.approx(1.0)
@@ -270,7 +223,7 @@ def test_closed_form_field_is_what_it_says() -> None:
         np.testing.assert_allclose(J, np.transpose(differences), atol=1e-7)
 
 
-def test_circle_beside_rotorpy(save: Save, learned: sgvf.GuidingField) -> None:
+def test_circle_beside_rotorpy(save, learned):
     rows = []
     for speed in SPEEDS:
         duration = LAPS * 2.0 * np.pi * RADIUS / speed

@@ -3,7 +3,6 @@
 Run by `make bench`; the table is printed and saved in build/bench.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 import time
 
@@ -15,12 +14,11 @@ from scipy.spatial import cKDTree
 
 import sgvf_drake as sgvf
 from sgvf_drake.experiments.clouds import make_cloud
-from sgvf_drake.fields import Field, FloatArray, PaperComposition, ScoreField, TangentField
+from sgvf_drake.fields import PaperComposition, ScoreField, TangentField
 from sgvf_drake.lyapunov import find_singularities
 
 pytestmark = pytest.mark.benchmark
 
-Save = Callable[[pd.DataFrame, str], None]
 SEEDS = (0, 1, 2)
 CLOUDS = (
     ("circle", "forty"),
@@ -43,7 +41,7 @@ DENSE = 400
 SAME = 1e-6
 
 
-def dense_zeros(field: Field, box: tuple[FloatArray, FloatArray]) -> FloatArray:
+def dense_zeros(field, box):
     """Roots from every cell of a fine grid in which neither component keeps its sign."""
     axes = [np.linspace(box[0][k], box[1][k], DENSE + 1) for k in range(2)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
@@ -67,14 +65,14 @@ def dense_zeros(field: Field, box: tuple[FloatArray, FloatArray]) -> FloatArray:
     return np.array(roots).reshape(-1, 2)
 
 
-def run_case(path: str, sampling: str, seed: int) -> dict[str, object]:
+def run_case(path, sampling, seed):
     cloud, _ = make_cloud(path, sampling, seed)
     field = sgvf.train(cloud, sgvf.TrainingConfig(seed=seed)).field
     begin = time.process_time()
     found = find_singularities(field)
     elapsed = time.process_time() - begin
     unnormalised = replace(field, composition=PaperComposition(field.composition.gain))
-    fields: dict[str, Field] = {
+    fields = {
         "guiding": field,
         "score": ScoreField(field),
         "tangent": TangentField(unnormalised),
@@ -103,7 +101,7 @@ def run_case(path: str, sampling: str, seed: int) -> dict[str, object]:
     }
 
 
-def test_all_zeros_are_found_and_indices_sum_up(save: Save) -> None:
+def test_all_zeros_are_found_and_indices_sum_up(save):
     table = pd.DataFrame([run_case(*case) for case in CASES])
     save(table, "singularities")
     assert (table["winding"] == table["index_sum"]).all()

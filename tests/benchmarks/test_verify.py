@@ -3,7 +3,6 @@
 Run by `make bench`; the table and the maps are saved in build/bench.
 """
 
-from collections.abc import Callable
 from pathlib import Path
 import time
 
@@ -17,13 +16,12 @@ from sgvf_drake.experiments import check_theorem, verification_figure
 pytestmark = pytest.mark.benchmark
 
 OUT = Path("build/bench/verify")
-Save = Callable[[pd.DataFrame, str], None]
 PAPER_SHAPES = ("concentric-circles", "separated-circles", "square")
 PAPER_SEEDS = (0, 1)
 STARTS = 100
 
 
-def verify_case(shape: str, recipe: str, seed: int) -> dict[str, object]:
+def verify_case(shape, recipe, seed):
     cloud, path = sgvf.make_shape(shape)
     field = sgvf.train(cloud, sgvf.TrainingConfig(recipe=recipe, seed=seed)).field
     begin = time.perf_counter()
@@ -34,7 +32,7 @@ def verify_case(shape: str, recipe: str, seed: int) -> dict[str, object]:
     figure.savefig(OUT / f"{shape}-{recipe}-{seed}.png", dpi=plotting.DPI)
     U, band, margins = cloud.unit_length, found.band, found.margins
     lower, upper = cloud.box
-    row: dict[str, object] = {
+    row = {
         "shape": shape,
         "recipe": recipe,
         "seed": seed,
@@ -69,7 +67,7 @@ def verify_case(shape: str, recipe: str, seed: int) -> dict[str, object]:
     return row
 
 
-def test_verification_table(save: Save) -> None:
+def test_verification_table(save):
     rows = [verify_case(shape, "robust", 0) for shape in sgvf.SHAPES]
     rows += [
         verify_case(shape, "paper", seed) for shape in PAPER_SHAPES for seed in PAPER_SEEDS

@@ -24,6 +24,7 @@ START = (1.3, 0.0, ALTITUDE)
 BOX = ([-1.6, -1.6], [1.6, 1.6])
 QUADROTOR = "viewer.scene.getObjectByName('quadrotor')"
 DRAWN = ("field", "trail", "tube", "waypoints")
+VEHICLE = ("body", "arm_x", "arm_y", *(f"propeller_{n}" for n in range(4)))
 SHOWN = " && ".join(f"viewer.scene_tree.children.{name}" for name in ("drake", *DRAWN))
 
 # Of 1280 x 720 pixels, how many each part of the scene has to change.
@@ -151,24 +152,11 @@ def assert_everything_is_drawn_once(page):
     assert counts["trail"][0] == "Mesh"
     # The trail is three ribbons: six vertices a point, and at least one point a frame.
     assert counts["trail"][1] >= 6 * 32
-    for part in ("body", "arm_x", "arm_y", *(f"propeller_{n}" for n in range(4))):
+    for part in VEHICLE:
         assert counts[part][0] == "Mesh"
         assert counts[part][1] > 0
-    names = [name for name, *_ in found]
-    assert len(names) == len(set(names)), "each is one object"
-    assert (
-        set(names)
-        == set(counts)
-        <= {
-            "Grid",
-            "Axes",
-            *DRAWN,
-            "body",
-            "arm_x",
-            "arm_y",
-            *(f"propeller_{n}" for n in range(4)),
-        }
-    )
+    assert len(found) == len(counts), "each is one object"
+    assert set(counts) <= {"Grid", "Axes", *DRAWN, *VEHICLE}
     for hidden in ("Grid", "Axes"):
         assert not page.evaluate(f"viewer.scene_tree.children.{hidden}.object.visible")
 
@@ -188,14 +176,11 @@ def assert_everything_is_seen(page, tmp_path):
         assert changed.sum() > pixels, name
 
 
-def test_the_saved_page_needs_no_network(saved):
+def test_the_saved_page_needs_no_network_and_does_not_complain(saved):
     requests = saved.requests()
     assert requests[0].startswith("file:///")
     assert {url.split(":")[0] for url in requests} <= {"file", "data", "blob"}
     assert sum(url.startswith("file:") for url in requests) == 1
-
-
-def test_the_saved_page_does_not_complain(saved):
     assert saved.complaints() == []
 
 
@@ -232,14 +217,10 @@ def test_the_vehicle_moves_with_the_time_of_the_recording(saved, recorded):
         assert np.abs(one - other).max() > 0.3
 
 
-def test_the_live_page_shows_everything(live, tmp_path):
-    _, page = live
+def test_the_live_page_shows_everything_and_follows_the_flight(live, tmp_path):
+    show, page = live
     assert_everything_is_drawn_once(page)
     assert_everything_is_seen(page, tmp_path)
-
-
-def test_the_live_page_follows_the_flight(live):
-    show, page = live
     length = f"{GEOMETRIES}.find(([name]) => name === 'trail')[2]"
     before = page.evaluate(length)
     show.fly(2.5)
@@ -247,10 +228,7 @@ def test_the_live_page_follows_the_flight(live):
     x, y, z = p_WB.tolist()
     page.wait_until(f"{QUADROTOR}.position.distanceTo({{x: {x}, y: {y}, z: {z}}}) < 1e-6")
     page.wait_until(f"{length} > {before}")
-
-
-def test_the_live_page_talks_to_its_server_only_and_does_not_complain(live):
-    show, page = live
+    # It talks to its server only, and does not complain.
     server = show.meshcat.web_url()
     requests = [url for url in page.requests() if not url.startswith(("data:", "blob:"))]
     assert show.meshcat.ws_url().rstrip("/") in {url.rstrip("/") for url in requests}
