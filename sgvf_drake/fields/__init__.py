@@ -13,6 +13,7 @@ from sgvf_drake.fields.classical import (
     PursuitField,
 )
 from sgvf_drake.fields.compiled import CompiledField
+from sgvf_drake.fields.composed import ComposedField
 from sgvf_drake.fields.composition import (
     PAPER_GAIN,
     Composition,
@@ -38,6 +39,7 @@ __all__ = [
     "AdjustableField",
     "AlgebraicCurve",
     "CompiledField",
+    "ComposedField",
     "Composition",
     "Curve",
     "CurveField",

@@ -132,11 +132,9 @@ def test_where_the_score_of_a_mixture_is_exactly_zero(make_field):
 
 @EACH_ACTIVATION
 def test_saturated_activations_do_not_overflow_and_nan_gives_nan(make_field, activation):
-    for recipe in RECIPES:
-        field = with_activation(make_field(recipe), activation)
-        assert_same(field, queries(field, n=4))
+    field = with_activation(make_field("paper"), activation)
     for size in (1e2, 1e3, 1e5, 1e50):
-        # Without features, so that the size gets to them: the last of the recipes.
+        # The paper has no features, so that the size gets to them.
         x = field.cloud.center + size * np.array([[1.0, 0.3], [-0.2, -1.0]])
         assert np.isfinite([field.compiled().evaluate(point) for point in x]).all()
         assert_same(field, x)
@@ -238,25 +236,6 @@ def output_of(arguments, folder, **environment):
         env=os.environ | environment,
     )
     return run.stdout.split()
-
-
-def test_a_second_process_imports_numba_for_it_alone_and_finds_the_code(tmp_path, make_field):
-    field = make_field("robust")
-    # At the latest now it is compiled, and cached.
-    expected = field.compiled().evaluate(np.array([3.0, 4.0]))
-    field.save(tmp_path / "field.safetensors")
-    code = (
-        "import sys, numpy as np, sgvf_drake\n"
-        "field = sgvf_drake.load_field('field.safetensors')\n"
-        "field.value_and_jacobian(np.zeros(2))\n"
-        "print('numba' in sys.modules)\n"
-        "flat = field.compiled().evaluate((3.0, 4.0))\n"
-        "from sgvf_drake.fields.compiled.evaluation import evaluate\n"
-        "print(sum(evaluate.stats.cache_hits.values()), *map(float, flat))"
-    )
-    before, hits, *flat = output_of(["-c", code], tmp_path)
-    assert (before, hits) == ("False", "1")
-    np.testing.assert_array_equal(np.array(flat, dtype=float), expected)
 
 
 def test_the_cache_notices_a_change_in_what_the_kernel_calls(tmp_path):

@@ -127,28 +127,45 @@ def test_a_file_is_written_whole_or_not_at_all(make_field, tmp_path, monkeypatch
         make_field("robust").save(tmp_path / "nowhere" / "field")
 
 
-def test_a_field_is_read_and_evaluated_without_torch_drake_and_pickle(make_field, tmp_path):
-    path = tmp_path / "field.safetensors"
-    field = make_field("robust")
-    field.save(path)
-    program = f"""
-import sys
-import numpy, pickle
+PROGRAM = """
+import pickle, sys
+import numpy
 def refuse(*args, **kwargs):
     raise AssertionError("a pickle was read")
+whole = pickle.load, pickle.loads, pickle.Unpickler
 pickle.load = pickle.loads = pickle.Unpickler = refuse
 import sgvf_drake
-field = sgvf_drake.load_field({str(path)!r})
+field = sgvf_drake.load_field("field.safetensors")
 field.hessian([1.0, 2.0])
 print(*field([1.0, 2.0]))
-assert not {{"torch", "pydrake"}} & set(sys.modules)
+assert not {"torch", "pydrake", "numba"} & set(sys.modules)
+# The cache of numba is one of pickles.
+pickle.load, pickle.loads, pickle.Unpickler = whole
+flat = field.compiled().evaluate((1.0, 2.0))
+from sgvf_drake.fields.compiled.evaluation import evaluate
+print(*flat, sum(evaluate.stats.cache_hits.values()))
 """
+
+
+def test_another_process_needs_no_torch_drake_or_pickle_and_finds_the_compiled_code(
+    make_field, tmp_path
+):
+    field = make_field("robust")
+    # At the latest now it is compiled, and cached.
+    expected = field.compiled().evaluate((1.0, 2.0))
+    field.save(tmp_path / "field.safetensors")
     run = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, timeout=120
+        [sys.executable, "-c", PROGRAM],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        cwd=tmp_path,
     )
     assert run.returncode == 0, run.stderr
-    printed = np.array(run.stdout.split()[-2:], dtype=float)
-    np.testing.assert_allclose(printed, field([1.0, 2.0]), rtol=1e-14)
+    x, y, *flat, hits = run.stdout.split()
+    np.testing.assert_allclose([float(x), float(y)], field([1.0, 2.0]), rtol=1e-14)
+    np.testing.assert_array_equal([float(number) for number in flat], expected)
+    assert hits == "1"
 
 
 class Trap:
