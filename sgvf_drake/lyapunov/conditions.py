@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.distance import pdist
 
 from sgvf_drake.arrays import BoolArray, FloatArray
 from sgvf_drake.fields import GuidingField, ScoreField, TangentField
@@ -181,10 +182,8 @@ def _between_points(field: GuidingField, function: LyapunovFunction, x: FloatArr
     largest = 0.0
     for start in starts:
         points = x[order[start : start + PAIR_NEIGHBOURS]]
-        v = field.tangent(points)
-        apart = np.linalg.norm(points[:, None] - points, axis=2)
-        change = np.linalg.norm(v[:, None] - v, axis=2)
-        distinct: BoolArray = apart > 0
+        apart, change = pdist(points), pdist(field.tangent(points))
+        distinct = apart > 0
         largest = max(largest, float((change[distinct] / apart[distinct]).max(initial=0.0)))
     return largest
 

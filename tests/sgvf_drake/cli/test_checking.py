@@ -44,7 +44,7 @@ def fields(tmp_path_factory, make_field):
     for name, field in (
         ("bad", replace(ring, tangent_network=sink)),
         ("sparse", sparse),
-        ("dense", around_a_ring(make_field("exact", sigma=0.15), 400)),
+        ("dense", around_a_ring(make_field("exact", sigma=0.15), 200)),
         ("learned", learned),
         ("ring", ring),
         ("stopping", replace(ring, tangent_network=linear([[1.0, 0.0], [0.0, 0.0]]))),

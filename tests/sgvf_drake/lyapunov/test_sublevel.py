@@ -24,7 +24,7 @@ def rings(*circles, sigma=0.1, spacing=0.04):
     )
 
 
-@pytest.mark.parametrize("level", [0.05, 0.5, 2.0, 8.0])
+@pytest.mark.parametrize("level", [0.05, 2.0])
 def test_around_a_ring_it_is_an_annulus(level):
     # V = d^2 / 2 sigma^2, so the annulus is 2 sigma sqrt(2 c) wide.
     function, path = rings((3.0, 0.0, 0.0))
