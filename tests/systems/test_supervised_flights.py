@@ -266,7 +266,9 @@ def test_lost_attitude_is_named_at_once(supervisor):
 
 @pytest.mark.parametrize("supervisor", [None, {}])
 def test_short_loss_is_bridged(supervisor):
-    flight = Flight(lost=[(1.995, 2.095)], sensors=SENSORS, supervisor=supervisor).until(3.0)
+    # Ten samples, and then a single one.
+    lost = [(1.995, 2.095), (2.495, 2.505)]
+    flight = Flight(lost=lost, sensors=SENSORS, supervisor=supervisor).until(3.0)
     flight.assert_follows(1.0, since=1.9)
     assert flight.estimation_error(1.9) < MEASURED_WITHIN + BLIND_DRIFT * 0.1
     if supervisor is not None:
@@ -488,17 +490,17 @@ def test_long_loss_lands_with_a_wrong_mass_too():
     np.testing.assert_allclose(flight.altitudes(9.0), height, atol=0.02)
 
 
-def test_speed_of_zero_stops_and_stays():
-    flight = noisy().until(2.0)
+@pytest.mark.parametrize("supervisor", [None, {}])
+def test_speed_of_zero_stops_and_stays(supervisor):
+    flight = noisy(supervisor=supervisor).until(1.5)
     begin = flight.state[:3]
-    index = flight.guidance.parameter_index
-    flight.set_parameter(flight.guidance, index, 0, 0.0)
-    flight.until(4.5)
-    assert flight.speeds(4.0).max() < 0.02
-    places = flight.log("state", 4.0)[:, :3]
+    flight.guidance.SetSpeed(flight.own(flight.guidance), 0.0)
+    flight.until(4.0)
+    assert flight.speeds(3.5).max() < 0.02
+    places = flight.log("state", 3.5)[:, :3]
     assert np.ptp(places, axis=0).max() < 0.01
     # The velocity fades with the velocity gain.
     way = np.linalg.norm(places[-1] - begin)
     assert way == pytest.approx(SPEED / DEFAULT_GAINS.velocity_gain, rel=0.1)
-    flight.set_parameter(flight.guidance, index, 0, SPEED)
-    flight.until(7.0).assert_follows(1.0, since=6.5)
+    flight.guidance.SetSpeed(flight.own(flight.guidance), SPEED)
+    flight.until(6.5).assert_follows(1.0, since=6.0)
