@@ -251,29 +251,6 @@ def test_a_spatial_function_watches_the_altitude(spatial_circle_field):
     np.testing.assert_array_equal(logged(diagram, context, "V_log")[1][:, 0], V(state[:, :3]))
 
 
-def test_a_kinematic_diagram_gives_gradients_of_V_dot(circle_field, ring_function):  # noqa: N802
-    # By the positions, of which the velocities are a function too.
-    diagram = MakeKinematicDiagram(circle_field, 2, lyapunov=ring_function)
-    autodiff = diagram.ToAutoDiffXd()
-    x = np.array([1.2, 0.3, -0.5, 0.6])
-
-    def outputs(system, positions):
-        context = system.CreateDefaultContext()
-        context.SetContinuousState(positions)
-        monitor = system.GetSubsystemByName("lyapunov")
-        own = monitor.GetMyContextFromRoot(context)
-        return np.concatenate(
-            [monitor.GetOutputPort(name).Eval(own) for name in ("V", "V_dot")]
-        )
-
-    column = outputs(autodiff, InitializeAutoDiff(x)[:, 0]).reshape(-1, 1)
-    expected = differences(lambda x: outputs(diagram, x), x)
-    np.testing.assert_allclose(ExtractValue(column).ravel(), outputs(diagram, x), rtol=1e-12)
-    np.testing.assert_allclose(
-        ExtractGradient(column), expected, atol=1e-7 * np.abs(expected).max()
-    )
-
-
 def test_bad_arguments_are_refused(function, circle_field):
     for arguments, message in (
         ({"num_agents": 0}, "num_agents must be at least 1, got 0"),

@@ -331,7 +331,7 @@ def assert_came_down(flight, since, height):
     [
         ({"landing_height": 0.5}, 0.995, [FOLLOW, HOLD, LAND]),
         (
-            {**TO_OUTER, "landing_height": 0.7},
+            {**TO_OUTER, "landing_height": 0.5},
             2.495,
             [FOLLOW, ("TRANSFER", 1), ("HOLD", 1), ("LAND", 1)],
         ),

@@ -139,11 +139,11 @@ class Viewer:
         ([3.0, -8.0], [3.5, 4.0]),
         ([-20.0, 100.0], [10.0, 101.0]),
         ([0.0, 0.0, -5.0], [1.0, 0.8, 5.0]),
+        ([-0.1, -1.0], [0.1, 1.0]),
     ],
 )
-@pytest.mark.parametrize("altitude", [0.0, 1.5])
-def test_the_view_just_shows_the_box(box, altitude):
-    viewer = Viewer()
+def test_the_view_just_shows_the_box(box):
+    viewer, altitude = Viewer(), 1.5
     SetView(viewer, box, altitude)
     (left, near), (right, far) = np.array(box)[:, :2]
     corners = np.array([[x, y, altitude] for x in (left, right) for y in (near, far)])
@@ -154,14 +154,9 @@ def test_the_view_just_shows_the_box(box, altitude):
     np.testing.assert_allclose(seen[:2, 0], -seen[2:, 0])
     assert seen[0, 0] < seen[2, 0]
     assert seen[0, 1] < seen[1, 1]
-
-
-def test_a_view_of_a_square_is_as_full_above_as_below():
-    viewer = Viewer()
-    # Narrow, so that height counts.
-    SetView(viewer, ([-0.1, -1.0], [0.1, 1.0]), 1.0)
-    corners = np.array([[0.0, -1.0, 1.0], [0.0, 1.0, 1.0]])
-    np.testing.assert_allclose(viewer.project(corners)[:, 1], [-VIEW_MARGIN, VIEW_MARGIN])
+    if right - left < far - near:
+        # Where the height counts, as full above as below.
+        np.testing.assert_allclose(seen[:2, 1], [-VIEW_MARGIN, VIEW_MARGIN])
 
 
 def test_a_view_of_what_is_not_finite_is_refused():
