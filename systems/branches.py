@@ -159,13 +159,8 @@ def SpeedLimits(
 
     At each, speed^2 |J m| keeps the acceleration; and before a turn the speed falls no
     faster than `BRAKING_SHARE` of the acceleration allows (the backward pass of
-    time-optimal path parametrisation).
-
-    Args:
-        field: The guiding field, in metres.
-        branch: The branch.
-        speed: The commanded speed in m/s, positive; nowhere is the result above it.
-        max_acceleration: In m/s^2.
+    time-optimal path parametrisation).  Nowhere is the result above the commanded speed, which
+    is positive, in m/s; the acceleration is in m/s^2.
     """
     demand = np.linalg.norm(MotionAlong(field, branch.points, speed).acceleration, axis=1)
     limits = speed * np.sqrt(np.minimum(1.0, max_acceleration / np.maximum(demand, 1e-9)))
@@ -331,29 +326,22 @@ def _SpeedViolation(speeds: FloatArray, start_speed: float, speed: float) -> Flo
 def CheckBranches(
     branches: Sequence[Branch], dim: int, box: tuple[FloatArray, FloatArray] | None
 ) -> None:
-    """Raises ConfigurationError unless a vehicle can be sent to each of the branches.
-
-    Args:
-        branches: The branches.
-        dim: The dimension d of the field.
-        box: Lower and upper corner (d,) of where the field holds, in m; None: everywhere.
-    """
+    """Raises ConfigurationError unless a vehicle can be sent to each branch, inside the box."""
     if not branches:
         raise ConfigurationError("a supervisor needs at least one branch")
-    for number, branch in enumerate(branches):
-        points = np.asarray(branch.points)
-        if points.ndim != 2 or points.shape[1] != dim or not len(points):
-            raise ConfigurationError(
-                f"branch {number} must have points (n, {dim}), got {points.shape}"
-            )
-        if not np.isfinite(points).all():
-            raise ConfigurationError(f"branch {number} has a point that is not finite")
-        if not (np.isfinite(branch.length) and branch.length > 0.0):
-            raise ConfigurationError(
-                f"the length of branch {number} must be positive, got {branch.length}"
-            )
-        if box is not None and not ((points >= box[0]) & (points <= box[1])).all():
-            raise ConfigurationError(f"branch {number} is not inside the box")
+    for number, (points, length, _) in enumerate(branches):
+        shape = np.shape(points)
+        if len(shape) != 2 or shape[1] != dim or not shape[0]:
+            problem = f"must have points (n, {dim}), got {shape}"
+        elif not np.isfinite(points).all():
+            problem = "has a point that is not finite"
+        elif not (np.isfinite(length) and length > 0.0):
+            problem = f"must have a positive length, got {length}"
+        elif box is not None and not ((points >= box[0]) & (points <= box[1])).all():
+            problem = "is not inside the box"
+        else:
+            continue
+        raise ConfigurationError(f"branch {number} {problem}")
 
 
 def CheckedBox(

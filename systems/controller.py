@@ -53,8 +53,7 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
             - propeller_force
             - acceleration
 
-        `state` (12) is QuadrotorPlant's: position p_WB in m, roll-pitch-yaw in rad,
-        velocity v_WB in m/s and the rates of roll-pitch-yaw in rad/s; z is up.
+        `state` (12) is QuadrotorPlant's, in metres, radians and seconds; z is up.
 
         `velocity_command` (3) in m/s and `acceleration_feedforward` (3) in m/s^2 are in W.
 

@@ -93,8 +93,7 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             - acceleration_feedforward
             - speed
 
-        `state` (12) is QuadrotorPlant's: position p_WB in m, roll-pitch-yaw in rad,
-        velocity v_WB in m/s and the rates of roll-pitch-yaw in rad/s; z is up.
+        `state` (12) is QuadrotorPlant's, in metres, radians and seconds; z is up.
 
         `velocity_command` (3) is speed m(p_WB) in m/s, in W, with m of the paper's
         equation 3.

@@ -134,18 +134,9 @@ def CalcThrustAndTorque(
     """Returns the thrust along B's z axis in N and the torque about B's axes in N m.
 
     The demanded acceleration is a_ff + k_v (v_cmd - v); its thrust vector sets the desired
-    attitude at a fixed heading, and the torque tracks that attitude.
-
-    Args:
-        state: As in `CalcPropellerInput`.
-        velocity_command: v_cmd.
-        acceleration: a_ff.
-        gains: The gains.
-        body: The mass and inertia that are believed.
-        gravity: In m/s^2.
-        max_thrust: Of all propellers together, in N.
-        saturate: Whether the thrust vector and the rates of the desired attitude are limited.
-            Without, the law is smooth wherever the thrust vector is not zero.
+    attitude at a fixed heading, and the torque tracks that attitude.  The arguments are those
+    of `CalcPropellerInput`, and the greatest thrust of all propellers together in N.  Without
+    saturation the law is smooth wherever the thrust vector is not zero.
     """
     rpy, rpy_rates = _Vector3(state[ATTITUDE]), _Vector3(state[RATES])
     vx, vy, vz = v_W = _Vector3(state[VELOCITY])
@@ -176,12 +167,8 @@ def LimitThrust(weight: Scalar, max_thrust: float, F_W: Vector3) -> Vector3:
     """Returns the thrust vector nearest in kind to F_W that the vehicle can point and give.
 
     The vertical part is kept first, so that a hard turn does not cost altitude; the
-    horizontal part is then scaled down to `MAX_TILT` and to the available thrust.
-
-    Args:
-        weight: The weight that is believed, in N.
-        max_thrust: Of all propellers together, in N.
-        F_W: The demanded thrust vector in N, in W.
+    horizontal part is then scaled down to `MAX_TILT` and to the available thrust.  All is in N,
+    the vectors in W; the weight is the one that is believed.
     """
     x, y, z = F_W
     spare = max_thrust - weight
@@ -202,11 +189,8 @@ def CalcTurnRate(v_W: Vector3, a_W: Vector3) -> Vector3:
 
     On a path of constant curvature, at constant speed, all derivatives of the velocity
     turn with it, so that this gives the rates of the acceleration feed-forward without
-    higher derivatives of the field.  Elsewhere the change of curvature is left out.
-
-    Args:
-        v_W: The vehicle's velocity in W, m/s.
-        a_W: The acceleration feed-forward in W, m/s^2.
+    higher derivatives of the field.  Elsewhere the change of curvature is left out.  The
+    velocity in m/s is the vehicle's, the acceleration in m/s^2 the feed-forward, both in W.
     """
     scale = 1.0 / (Dot(v_W, v_W) + SLOW_SPEED**2)
     x, y, z = Cross(v_W, a_W)
@@ -226,15 +210,15 @@ def CalcDesiredAttitude(
     D's z axis is along the thrust vector and its x axis is as near as possible to the
     heading (Lee et al. 2010).  The angular velocity in rad/s is that of
     this very construction at a fixed heading.  Its rate in rad/s^2 leaves out the part
-    along D's z axis, which does not move the thrust.  Both are expressed in W.
+    along D's z axis, which does not move the thrust.  Both are expressed in W, and limited to
+    `MAX_DESIRED_RATE` and `MAX_DESIRED_ANGULAR_ACCELERATION` if saturated.
 
     Args:
         F_W: The thrust vector in N, in W; its tilt stays below `MAX_TILT`.
         F_dot_W: Its rate of change in N/s, in W.
         F_ddot_W: The rate of change of that in N/s^2, in W.
         heading: The desired yaw angle in rad.
-        saturate: Whether the angular velocity and acceleration are limited, to
-            `MAX_DESIRED_RATE` and `MAX_DESIRED_ANGULAR_ACCELERATION`.
+        saturate: Whether the rates are limited.
     """
     cx, cy = Cos(heading), Sin(heading)
     s = 1.0 / Sqrt(Dot(F_W, F_W))
@@ -301,14 +285,7 @@ def CalcTorque(
 
         M = J (-wn^2 e_R - 2 zeta wn e_w) + w x J w - J (w x R^T R_d w_d - R^T R_d w_d')
 
-    Args:
-        body: For J.
-        gains: For wn and zeta.
-        R_WB: The attitude.
-        w_WB_B: The angular velocity in B, rad/s.
-        R_WD: The desired attitude.
-        w_WD_W: The desired angular velocity R_d w_d in W, rad/s.
-        alpha_WD_W: Its rate R_d w_d' in W, rad/s^2.
+    Here w is w_WB_B and R_d w_d is w_WD_W, in rad/s, and R_d w_d' is alpha_WD_W in rad/s^2.
     """
     _, Jx, Jy, Jz = body
     wn = gains.attitude_bandwidth
@@ -329,12 +306,7 @@ def CalcTorque(
 
 @compilable
 def CalcAttitude(rpy: Vector3, rpy_rates: Vector3) -> tuple[Rotation, Vector3]:
-    """Returns R_WB = Rz(yaw) Ry(pitch) Rx(roll) and w_WB_B in rad/s.
-
-    Args:
-        rpy: Roll, pitch and yaw in rad.
-        rpy_rates: Their rates in rad/s, which are not the body's angular velocity.
-    """
+    """Returns R_WB = Rz(yaw) Ry(pitch) Rx(roll) and w_WB_B, from rad and rad/s to rad/s."""
     roll, pitch, yaw = rpy
     roll_rate, pitch_rate, yaw_rate = rpy_rates
     sr, cr = Sin(roll), Cos(roll)
@@ -363,13 +335,7 @@ def CalcPropellerForces(
     that is asked, attitude comes first, since thrust is only useful in the right
     direction: roll and pitch torque are kept (and scaled together only where they alone
     exceed the motors), then the thrust is moved as little as needed, and yaw torque gets
-    what is left.
-
-    Args:
-        rotors: Where the propellers stand, and what they can give.
-        thrust: Along B's z axis in N.
-        torque: About B's x, y and z axes in N m.
-        saturate: Whether the forces are limited to what the motors can give.
+    what is left.  The thrust in N is along B's z axis, the torque in N m about B's axes.
     """
     mean = 0.25 * thrust
     roll = torque[0] / (2.0 * rotors.arm_length)  # Propellers 1 and 3 differ by it.

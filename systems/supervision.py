@@ -159,25 +159,15 @@ class Memory:
 
 @dataclass(frozen=True)
 class Supervision:
-    """The rules by which a supervisor changes its memory at each sample.
+    """The rules by which a supervisor changes its memory at each sample."""
 
-    Attributes:
-        field: The guiding field, in metres.
-        branches: The branches of its path.
-        tour: Numbers of the branches in the order in which they are flown.
-        max_acceleration: That the thrust is trusted with, in m/s^2.
-        box: Lower and upper corner (d,) of where the field holds, in m; None: everywhere.
-        landing_height: z in m.
-        period: Of the samples in s.
-    """
-
-    field: Field
-    branches: Sequence[Branch]
-    tour: Sequence[int]
-    max_acceleration: float
-    box: tuple[FloatArray, FloatArray] | None
-    landing_height: float
-    period: float
+    field: Field  # In metres.
+    branches: Sequence[Branch]  # Of its path.
+    tour: Sequence[int]  # Numbers of the branches in the order in which they are flown.
+    max_acceleration: float  # That the thrust is trusted with, in m/s^2.
+    box: tuple[FloatArray, FloatArray] | None  # Corners (d,) of where the field holds, in m.
+    landing_height: float  # z in m.
+    period: float  # Of the samples in s.
 
     @property
     def _dim(self) -> int:

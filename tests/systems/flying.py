@@ -69,7 +69,7 @@ class CircleField:
         assert x.dtype == np.float64, "the field must never see objects"
         if self._H is None:
             H = [[[sympy.diff(c, s) for s in self._p] for c in row] for row in self._J]
-            self._H = sympy.lambdify(self._p, H, "math", cse=True)
+            self._H = sympy.lambdify(self._p, H, "math")
         H = [self._H(*row) for row in x.reshape(-1, self.dim).tolist()]
         return np.array(H).reshape(*x.shape, self.dim, self.dim)
 

@@ -166,7 +166,7 @@ def test_departure_between_concentric_rings_needs_no_waiting():
         (Branch(np.zeros((3, 3)), 1.0, True), r"branch 0 must have points \(n, 2\)"),
         (Branch(np.zeros((0, 2)), 1.0, True), "branch 0 must have points"),
         (Branch(np.full((3, 2), math.nan), 1.0, True), "branch 0 has a point"),
-        (Branch(np.zeros((3, 2)), 0.0, True), "length of branch 0 must be positive, got 0.0"),
+        (Branch(np.zeros((3, 2)), 0.0, True), "branch 0 must have a positive length, got 0.0"),
         (Branch(np.full((3, 2), 2.0), 1.0, True), "branch 0 is not inside the box"),
     ],
 )

@@ -16,15 +16,15 @@ INPUTS = (("state", 12), ("velocity_command", 3), ("acceleration_feedforward", 3
 CONTROLLER = Se3Controller()
 
 
-def evaluate(system, inputs, gains=None):
+def evaluate(system, inputs, gains=None, body=None):
     """The forces for all inputs in one vector (18,)."""
     context = system.CreateDefaultContext()
     if gains is not None:
         system.SetGains(context, gains)
-    start = 0
-    for name, size in INPUTS:
-        system.GetInputPort(name).FixValue(context, inputs[start : start + size])
-        start += size
+    if body is not None:
+        system.SetBody(context, body)
+    for (name, _), value in zip(INPUTS, np.split(inputs, [12, 15]), strict=True):
+        system.GetInputPort(name).FixValue(context, value)
     return system.GetOutputPort("propeller_force").Eval(context)
 
 
@@ -54,12 +54,6 @@ def test_gradients_agree_with_differences():
             expected,
             atol=1e-5 * np.abs(expected).max(),
         )
-
-
-def test_gradients_are_finite_in_hover():
-    # Square roots of zero are what spoils them.
-    output = evaluate(CONTROLLER.ToAutoDiffXd(), InitializeAutoDiff(np.zeros(18))[:, 0])
-    assert np.all(np.isfinite(ExtractGradient(output.reshape(-1, 1))))
 
 
 finite = st.floats(-1e3, 1e3)
@@ -105,6 +99,9 @@ def test_compiled_law_is_the_law(make_inputs, saturate):
     # Floats run compiled, AutoDiffXd in the interpreter: two translations of one source.
     system = Se3Controller(saturate=saturate)
     autodiff = system.ToAutoDiffXd()
+    # Square roots of zero, as in hover, spoil the gradients first.
+    output = evaluate(autodiff, InitializeAutoDiff(np.zeros(18))[:, 0])
+    assert np.isfinite(ExtractGradient(output.reshape(-1, 1))).all()
     for inputs in make_inputs(50):
         forces = evaluate(autodiff, InitializeAutoDiff(inputs, np.zeros((18, 0)))[:, 0])
         np.testing.assert_allclose(
@@ -112,17 +109,12 @@ def test_compiled_law_is_the_law(make_inputs, saturate):
         )
 
 
-def test_without_saturation_the_law_is_the_same_within_the_limits():
-    smooth = Se3Controller(saturate=False)
-    for inputs in random_inputs(20):
-        np.testing.assert_allclose(
-            evaluate(smooth, inputs), evaluate(CONTROLLER, inputs), rtol=1e-12
-        )
-
-
-def test_without_saturation_the_law_is_smooth_beyond_the_limits():
+def test_without_saturation_the_law_is_the_same_and_smooth_beyond_the_limits():
     smooth = Se3Controller(saturate=False)
     autodiff = smooth.ToAutoDiffXd()
+    for inputs in random_inputs(20):
+        forces = evaluate(CONTROLLER, inputs)
+        np.testing.assert_allclose(evaluate(smooth, inputs), forces, rtol=1e-12)
     beyond = [
         inputs
         for inputs in wild_inputs(10)
@@ -141,47 +133,6 @@ def test_without_saturation_the_law_is_smooth_beyond_the_limits():
         assert fine < 0.3 * coarse
 
 
-def test_thrust_and_torque_grow_with_the_body_that_is_believed():
-    context, inputs = CONTROLLER.CreateDefaultContext(), random_inputs(1)[0]
-    body = CONTROLLER.GetBody(context)
-    assert body == (QuadrotorParameters().mass, *QuadrotorParameters().inertia)
-    start = 0
-    for name, size in INPUTS:
-        CONTROLLER.GetInputPort(name).FixValue(context, inputs[start : start + size])
-        start += size
-    mixing = QuadrotorParameters().MixingMatrix()
-    before = mixing @ CONTROLLER.GetOutputPort("propeller_force").Eval(context)
-    doubled = Body(*(2.0 * value for value in body))
-    CONTROLLER.SetBody(context, doubled)
-    after = mixing @ CONTROLLER.GetOutputPort("propeller_force").Eval(context)
-    np.testing.assert_allclose(after, 2.0 * before, rtol=1e-9)
-    assert CONTROLLER.GetBody(context.Clone()) == doubled
-
-
-def test_gain_or_body_of_zero_in_the_context_is_named():
-    for index, entry, name in (
-        (CONTROLLER.gains_index, 1, "attitude_bandwidth"),
-        (CONTROLLER.body_index, 0, "mass"),
-    ):
-        for system in (CONTROLLER, CONTROLLER.ToAutoDiffXd()):
-            context = system.CreateDefaultContext()
-            for port, size in INPUTS:
-                system.GetInputPort(port).FixValue(context, np.zeros(size))
-            context.get_mutable_numeric_parameter(index).SetAtIndex(entry, 0.0)
-            with pytest.raises(ConfigurationError, match=f"{name} must be .* positive"):
-                system.GetOutputPort("propeller_force").Eval(context)
-
-
-def test_a_body_too_heavy_to_lift_is_lifted_as_far_as_it_goes():
-    context = CONTROLLER.CreateDefaultContext()
-    for port, size in INPUTS:
-        CONTROLLER.GetInputPort(port).FixValue(context, np.ones(size))
-    CONTROLLER.SetBody(context, CONTROLLER.GetBody(context)._replace(mass=50.0))
-    forces = CONTROLLER.GetOutputPort("propeller_force").Eval(context)
-    assert np.all((forces >= 0.0) & (forces <= F_MAX))
-    assert forces.mean() > 0.5 * F_MAX
-
-
 def test_output_is_in_the_units_of_the_plant():
     inputs = random_inputs(1)[0]
     # Twice the force per unit of input, and the same torque per newton.
@@ -189,33 +140,6 @@ def test_output_is_in_the_units_of_the_plant():
     np.testing.assert_allclose(
         2.0 * evaluate(Se3Controller(doubled), inputs), evaluate(CONTROLLER, inputs)
     )
-
-
-@pytest.mark.parametrize(
-    ("index", "port"),
-    [(4, "state"), (13, "velocity_command"), (17, "acceleration_feedforward")],
-)
-def test_input_that_is_not_finite_is_named(index, port):
-    inputs = np.zeros(18)
-    inputs[index] = math.nan
-    for system in (CONTROLLER, CONTROLLER.ToAutoDiffXd()):
-        with pytest.raises(NonFiniteValueError, match=f"Se3Controller.*'{port}'.*t = 0 s"):
-            evaluate(system, inputs)
-
-
-def test_velocity_beyond_all_numbers_is_no_force():
-    inputs = np.zeros(18)
-    inputs[6] = 1e160
-    with pytest.raises(NonFiniteValueError, match="the propeller force"):
-        evaluate(Se3Controller(saturate=False), inputs)
-
-
-def test_thrust_vector_of_zero_is_named():
-    inputs = np.zeros(18)
-    inputs[17] = -QuadrotorParameters().gravity
-    for system in (Se3Controller(saturate=False), Se3Controller(saturate=False).ToAutoDiffXd()):
-        with pytest.raises(NonFiniteValueError, match="the propeller force"):
-            evaluate(system, inputs)
 
 
 @pytest.mark.parametrize(
@@ -240,3 +164,40 @@ def test_bad_gain_or_body_is_named(name, value):
         return
     with pytest.raises(ConfigurationError, match=name):
         CONTROLLER.SetBody(context, CONTROLLER.GetBody(context)._replace(**{name: value}))
+
+
+def test_thrust_and_torque_grow_with_the_body_that_is_believed():
+    inputs, vehicle = random_inputs(1)[0], QuadrotorParameters()
+    body = CONTROLLER.GetBody(CONTROLLER.CreateDefaultContext())
+    assert body == (vehicle.mass, *vehicle.inertia)
+    mixing, doubled = vehicle.MixingMatrix(), Body(*(2.0 * value for value in body))
+    before, after = (mixing @ evaluate(CONTROLLER, inputs, None, b) for b in (body, doubled))
+    np.testing.assert_allclose(after, 2.0 * before, rtol=1e-9)
+    # One too heavy to lift is lifted as far as it goes.
+    forces = evaluate(CONTROLLER, np.ones(18), None, body._replace(mass=50.0))
+    assert np.all((forces >= 0.0) & (forces <= F_MAX))
+    assert forces.mean() > 0.5 * F_MAX
+
+
+@pytest.mark.parametrize("convert", [False, True])
+def test_what_the_law_cannot_use_is_named(convert):
+    for saturate, index, value, message in (
+        (True, 4, math.nan, r"Se3Controller.*'state'.*t = 0 s"),
+        (True, 13, math.nan, r"Se3Controller.*'velocity_command'.*t = 0 s"),
+        (True, 17, math.inf, r"Se3Controller.*'acceleration_feedforward'.*t = 0 s"),
+        # A velocity beyond all numbers, and a thrust vector of zero.
+        (False, 6, 1e160, "the propeller force"),
+        (False, 17, -QuadrotorParameters().gravity, "the propeller force"),
+    ):
+        system, inputs = Se3Controller(saturate=saturate), np.zeros(18)
+        inputs[index] = value
+        with pytest.raises(NonFiniteValueError, match=message):
+            evaluate(system.ToAutoDiffXd() if convert else system, inputs)
+    system = CONTROLLER.ToAutoDiffXd() if convert else CONTROLLER
+    for index, entry, name in ((0, 1, "attitude_bandwidth"), (1, 0, "mass")):
+        context = system.CreateDefaultContext()
+        for port, size in INPUTS:
+            system.GetInputPort(port).FixValue(context, np.zeros(size))
+        context.get_mutable_numeric_parameter(index).SetAtIndex(entry, 0.0)
+        with pytest.raises(ConfigurationError, match=f"{name} must be .* positive"):
+            system.GetOutputPort("propeller_force").Eval(context)

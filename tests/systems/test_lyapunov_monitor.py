@@ -1,7 +1,6 @@
 """The monitor against the function, finite differences, and trajectories."""
 
 import math
-import re
 
 import numpy as np
 from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
@@ -82,10 +81,9 @@ def random_motion(agents, state_size, dim, seed=0):
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-@pytest.mark.parametrize("agents", [1, 5])
-@pytest.mark.parametrize("extra", [0, 10])
-def test_outputs_agree_with_the_function(dim, agents, extra):
-    V, h = make_function(dim), 1e-6
+@pytest.mark.parametrize("agents", [1, 2])
+def test_outputs_agree_with_the_function(dim, agents):
+    V, h, extra = make_function(dim), 1e-6, 10 * (agents - 1)
     states, velocities = random_motion(agents, dim + extra, dim)
     x = states[:, :dim]
     outputs = evaluate(
@@ -144,13 +142,6 @@ def test_one_of_the_inputs_may_be_a_constant(function):
     assert evaluate(autodiff, x, v)["V_dot"][0].value() == pytest.approx(gradient @ v)
 
 
-def test_margin_has_a_gradient_by_the_level(function):
-    level = InitializeAutoDiff(np.array([2.0]))[0, 0]
-    (x,), (v,) = random_motion(1, 2, 2)
-    margin = evaluate(LyapunovMonitor(function).ToAutoDiffXd(), x, v, level)["margin"]
-    np.testing.assert_array_equal(margin[0].derivatives(), [1.0])
-
-
 @pytest.mark.parametrize("value", [math.nan, math.inf])
 def test_what_is_not_finite_is_named_with_the_agent(function, value):
     monitor = LyapunovMonitor(function, 3)
@@ -191,27 +182,6 @@ def test_function_that_is_not_finite_is_named():
         monitor.GetOutputPort("V_dot").Eval(context)
 
 
-def test_bad_arguments_are_refused(function):
-    with pytest.raises(ConfigurationError, match="num_agents must be at least 1, got 0"):
-        LyapunovMonitor(function, 0)
-    with pytest.raises(ConfigurationError, match="level must be a number"):
-        LyapunovMonitor(function, level=math.nan)
-    with pytest.raises(ConfigurationError, match="at least the dimension 2, got 1"):
-        LyapunovMonitor(function, state_size=1)
-    monitor = LyapunovMonitor(function)
-    with pytest.raises(ConfigurationError, match="level must be a number"):
-        monitor.SetLevel(monitor.CreateDefaultContext(), math.nan)
-
-
-@pytest.mark.parametrize(("agents", "velocity"), [(2, 2), (3, 4), (0, 0)])
-def test_ports_that_do_not_fit_are_refused(function, agents, velocity):
-    builder = DiagramBuilder()
-    state = builder.AddSystem(ConstantVectorSource(np.zeros(4))).get_output_port()
-    rates = builder.AddSystem(ConstantVectorSource(np.zeros(velocity + 1))).get_output_port()
-    with pytest.raises(ConfigurationError, match=re.escape(f"{agents} agents in 2 dimensions")):
-        AddLyapunovMonitor(builder, function, state, rates, num_agents=agents)
-
-
 # In diagrams.
 
 
@@ -245,22 +215,6 @@ def test_V_is_logged_along_kinematic_trajectories(circle_field, ring_function): 
     change = np.cumsum((V_dot[1:] + V_dot[:-1]) / 2 * np.diff(times)[:, None], axis=0)
     # The trapezoidal rule is good to a thousandth of what V falls by.
     np.testing.assert_allclose(change, V[1:] - V[0], atol=1e-3 * V.max())
-
-
-def test_a_monitor_changes_no_kinematic_trajectory(circle_field, ring_function):
-    starts = np.random.default_rng(3).uniform(-1.5, 1.5, (4, 2))
-    plain, context = follow(circle_field, starts)
-    assert not any(plain.HasSubsystemNamed(name) for name in ("lyapunov", "V_log"))
-    watched, other = follow(circle_field, starts, lyapunov=ring_function, level=1.0)
-    np.testing.assert_array_equal(
-        logged(plain, context, "positions_log")[1], logged(watched, other, "positions_log")[1]
-    )
-    assert (
-        watched.GetSubsystemByName("lyapunov").GetLevel(
-            watched.GetSubsystemByName("lyapunov").GetMyContextFromRoot(other)
-        )
-        == 1.0
-    )
 
 
 def fly(field, duration=0.5, **options):
@@ -297,31 +251,27 @@ def test_a_spatial_function_watches_the_altitude(spatial_circle_field):
     np.testing.assert_array_equal(logged(diagram, context, "V_log")[1][:, 0], V(state[:, :3]))
 
 
-def test_functions_of_another_dimension_are_refused(circle_field):
+def test_bad_arguments_are_refused(function, circle_field):
+    for arguments, message in (
+        ({"num_agents": 0}, "num_agents must be at least 1, got 0"),
+        ({"level": math.nan}, "level must be a number"),
+        ({"state_size": 1}, "at least the dimension 2, got 1"),
+    ):
+        with pytest.raises(ConfigurationError, match=message):
+            LyapunovMonitor(function, **arguments)
+    monitor = LyapunovMonitor(function)
+    with pytest.raises(ConfigurationError, match="level must be a number"):
+        monitor.SetLevel(monitor.CreateDefaultContext(), math.nan)
     with pytest.raises(ConfigurationError, match="dimension 2 or 3, got 4"):
         MakeFlightDiagram(circle_field, lyapunov=make_function(4))
     with pytest.raises(ConfigurationError, match="2 agents in 3 dimensions"):
         MakeKinematicDiagram(circle_field, 2, lyapunov=make_function(3))
-
-
-def test_a_kinematic_diagram_gives_gradients_of_V_dot(circle_field, ring_function):  # noqa: N802
-    # By the positions, of which the velocities are a function too.
-    diagram = MakeKinematicDiagram(circle_field, 2, lyapunov=ring_function)
-    autodiff = diagram.ToAutoDiffXd()
-    x = np.array([1.2, 0.3, -0.5, 0.6])
-
-    def outputs(system, positions):
-        context = system.CreateDefaultContext()
-        context.SetContinuousState(positions)
-        monitor = system.GetSubsystemByName("lyapunov")
-        own = monitor.GetMyContextFromRoot(context)
-        return np.concatenate(
-            [monitor.GetOutputPort(name).Eval(own) for name in ("V", "V_dot")]
-        )
-
-    column = outputs(autodiff, InitializeAutoDiff(x)[:, 0]).reshape(-1, 1)
-    expected = differences(lambda x: outputs(diagram, x), x)
-    np.testing.assert_allclose(ExtractValue(column).ravel(), outputs(diagram, x), rtol=1e-12)
-    np.testing.assert_allclose(
-        ExtractGradient(column), expected, atol=1e-7 * np.abs(expected).max()
+    # Ports that do not fit.
+    builder = DiagramBuilder()
+    state, rates = (
+        builder.AddSystem(ConstantVectorSource(np.zeros(size))).get_output_port()
+        for size in (4, 3)
     )
+    for agents in (0, 2, 3):
+        with pytest.raises(ConfigurationError, match=f"{agents} agents in 2 dimensions"):
+            AddLyapunovMonitor(builder, function, state, rates, num_agents=agents)

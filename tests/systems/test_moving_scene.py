@@ -1,5 +1,5 @@
-"""What moves in a picture: the vehicle, against SciPy's rotations and the plant's own mixing, and
-the way that it has flown, against motions in closed form."""
+"""What moves in a picture: the vehicle, against SciPy's rotations and the plant's own mixing,
+and the way that it has flown, against motions in closed form."""
 
 import math
 

@@ -45,12 +45,11 @@ def test_bad_parameter_is_named(name, value):
         QuadrotorParameters(**{name: value})
 
 
-def test_flat_plate_has_a_possible_inertia():
-    assert QuadrotorParameters(inertia=(1e-3, 1e-3, 2e-3)).inertia[2] == 2e-3
-
-
 def test_parameters_survive_the_way_through_a_plant():
-    parameters = QuadrotorParameters(force_constant=2.0, thrust_to_weight=3.0)
+    # A flat plate has a possible inertia.
+    parameters = QuadrotorParameters(
+        force_constant=2.0, thrust_to_weight=3.0, inertia=(1e-3, 1e-3, 2e-3)
+    )
     assert QuadrotorParameters.FromPlant(parameters.MakePlant(), 3.0) == parameters
 
 

@@ -227,7 +227,11 @@ def test_limited_thrust_can_be_pointed_and_given(F, thrust_to_weight):
     assert x * F[1] - y * F[0] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_thrust_within_the_limits_is_not_changed():
+def test_hover_needs_the_weight_and_no_torque():
+    thrust, torque = law(np.zeros(12), np.zeros(3), np.zeros(3))
+    assert thrust == pytest.approx(PARAMETERS.weight)
+    np.testing.assert_array_equal(torque, 0.0)
+    # Within the limits a thrust is not changed.
     assert LimitThrust(PARAMETERS.weight, MAX_THRUST, (3.0, -2.0, 5.0)) == (3.0, -2.0, 5.0)
 
 
@@ -236,12 +240,6 @@ def test_desired_rates_are_limited():
     _, w, alpha = CalcDesiredAttitude(F, fast, faster, 0.0)
     assert np.linalg.norm(w) == pytest.approx(MAX_DESIRED_RATE)
     assert np.linalg.norm(alpha) == pytest.approx(MAX_DESIRED_ANGULAR_ACCELERATION)
-
-
-def test_hover_needs_the_weight_and_no_torque():
-    thrust, torque = law(np.zeros(12), np.zeros(3), np.zeros(3))
-    assert thrust == pytest.approx(PARAMETERS.weight)
-    np.testing.assert_array_equal(torque, 0.0)
 
 
 # The mixing.
