@@ -103,10 +103,10 @@ def test_a_cloud_can_be_the_reference_and_the_altitude_is_held(flight_field):
     field = flight_field.rescaled(0.5)
     reference, kind = choose_reference(field)
     assert kind == "cloud"
-    result = fly(field, reference, speed=1.5, laps=1.2, altitude=3.5)
+    result = fly(field, reference, speed=1.0, laps=1.2, altitude=3.5)
     summary = result.summary()
     assert summary["laps"] >= 1.0
-    assert summary["cross_track_rms_m"] <= 0.02
+    assert summary["cross_track_rms_m"] <= 0.01
     for flight in result.flights:
         np.testing.assert_allclose(flight.log["z"], 3.5, atol=0.03)
 
