@@ -30,6 +30,15 @@ def rows_of(log, part):
     return log[log["time"].between(part["begin_s"] - 1e-6, part["end_s"] + 1e-6)]
 
 
+def motion_of(log):
+    """Speeds and forces by the names of the summary."""
+    speed, forces = speed_of(log), log[FORCES].to_numpy()
+    return {
+        **{"speed_min_m_s": speed.min(), "speed_max_m_s": speed.max()},
+        **{"motor_force_min_n": forces.min(), "motor_force_max_n": forces.max()},
+    }
+
+
 @pytest.fixture(scope="module")
 def toured(flight_field, rings):
     """From the inner circle to the outer one and back, by noisy measurements."""
@@ -93,42 +102,26 @@ def test_the_log_holds_the_whole_flight(toured):
 
 
 def test_figures_are_those_of_the_log(toured, flight_field):
-    log, summary = toured.log.assign(speed=speed_of(toured.log)), toured.summary()
-    changed = (log["mode"].diff() != 0) | (log["piece"].diff() != 0)
-    legs, transfers = [], []
-    for _, part in log.groupby(changed.cumsum()):
-        figures = {
-            "piece": part["piece"].min(),
-            "begin_s": part["time"].min(),
-            "end_s": part["time"].max(),
-        }
-        rows = part
-        if part["mode"].max() == Mode.FOLLOW:
-            near = part["cross_track_error"] <= 0.1 * flight_field.cloud.unit_length
-            rows = part[near.cummax()]
-            square = (rows["cross_track_error"] ** 2).sum() / len(rows)
-            figures |= {
-                "reached_s": rows["time"].min(),
-                "cross_track_rms_m": math.sqrt(square),
-                "cross_track_max_m": rows["cross_track_error"].max(),
-            }
-        figures |= {
-            "speed_min_m_s": rows["speed"].min(),
-            "speed_max_m_s": rows["speed"].max(),
-            "motor_force_min_n": rows[FORCES].min().min(),
-            "motor_force_max_n": rows[FORCES].max().max(),
-        }
-        (legs if "reached_s" in figures else transfers).append(figures)
-    for found, expected in ((summary["legs"], legs), (summary["transfers"], transfers)):
-        pd.testing.assert_frame_equal(pd.DataFrame(found), pd.DataFrame(expected))
-    flying, forces = log[log["time"] > 1.0]["speed"], log[FORCES].to_numpy()
+    log, summary = toured.log, toured.summary()
+    near = log["cross_track_error"] <= 0.1 * flight_field.cloud.unit_length
+    for part in [*summary["legs"], *summary["transfers"]]:
+        rows = rows_of(log, part)
+        assert set(rows["piece"]) == {part["piece"]}
+        assert rows["mode"].nunique() == 1
+        if "reached_s" in part:
+            rows = rows[near[rows.index].cummax()]
+            assert part["reached_s"] == rows["time"].min()
+            assert part["cross_track_max_m"] == rows["cross_track_error"].max()
+        for name, expected in motion_of(rows).items():
+            assert part[name] == pytest.approx(expected), name
     limit = QuadrotorParameters().max_propeller_force
+    motion, forces = motion_of(log[log["time"] > 1.0]), log[FORCES].to_numpy()
     assert 0.0 < forces.min() < forces.max() < limit
     for name, expected in {
-        "cross_track_rms_m": max(leg["cross_track_rms_m"] for leg in legs),
-        "cross_track_max_m": max(leg["cross_track_max_m"] for leg in legs),
-        "speed_min_m_s": flying.min(),
-        "speed_max_m_s": flying.max(),
+        "cross_track_rms_m": max(leg["cross_track_rms_m"] for leg in summary["legs"]),
+        "cross_track_max_m": max(leg["cross_track_max_m"] for leg in summary["legs"]),
+        "speed_min_m_s": motion["speed_min_m_s"],
+        "speed_max_m_s": motion["speed_max_m_s"],
         "motor_force_min_n": forces.min(),
         "motor_force_max_n": forces.max(),
         "motor_force_limit_n": limit,
