@@ -47,8 +47,8 @@ class CertifiedField:
             scale: Metres in one unit of the waypoints.
 
         Raises:
-            ConfigurationError: There is no certificate, it is damaged or of another field, or
-                it proves nothing.
+            ConfigurationError: If there is no certificate, if it is damaged or of another
+                field, or if it proves nothing.
         """
         file = certificate_file(path)
         if file is None:

@@ -1,6 +1,6 @@
 """Fly Drake's quadrotor along every piece of a path, and measure how well."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -25,6 +25,11 @@ from sgvf_drake.progress import Progress, no_progress
 
 # A propeller this close to a limit, relative to the limit, is saturated.
 SATURATION_MARGIN = 1e-6
+# Figures of which the largest of all pieces is told.
+WORST = (
+    *("cross_track_rms_m", "cross_track_max_m", "altitude_rms_m", "motor_force_max_n"),
+    *("saturated_fraction", "saturated_fraction_after_take_off"),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,29 +71,16 @@ class FlightResult:
         pieces = [flight.summary for flight in self.flights]
         laps = [piece["laps"] for piece in pieces if not piece["open"]]
         ended = [piece["ended"] for piece in pieces if piece["open"]]
-
-        def worst(key: str, pick: Callable[[list[Any]], float] = max) -> float | None:
-            values = [piece[key] for piece in pieces]
-            return None if None in values else pick(values)
-
-        def from_commanded(speed: float) -> float:
-            return abs(speed - self.spec.speed)
-
+        speeds = [piece["speed_mean_m_s"] for piece in pieces]
+        worst = {name: [piece[name] for piece in pieces] for name in WORST}
         return {
-            "cross_track_rms_m": worst("cross_track_rms_m"),
-            "cross_track_max_m": worst("cross_track_max_m"),
-            "speed_mean_m_s": max(
-                (piece["speed_mean_m_s"] for piece in pieces), key=from_commanded
-            ),
+            **{name: None if None in all_ else max(all_) for name, all_ in worst.items()},
+            "speed_mean_m_s": max(speeds, key=lambda speed: abs(speed - self.spec.speed)),
             "speed_command_m_s": self.spec.speed,
-            "altitude_rms_m": worst("altitude_rms_m"),
-            "motor_force_max_n": worst("motor_force_max_n"),
             "motor_force_limit_n": self.spec.parameters.max_propeller_force,
-            "saturated_fraction": worst("saturated_fraction"),
-            "saturated_fraction_after_take_off": worst("saturated_fraction_after_take_off"),
             "laps": min(laps, default=None),
             "ended": all(ended) if ended else None,
-            "real_time_factor": worst("real_time_factor", min),
+            "real_time_factor": min(piece["real_time_factor"] for piece in pieces),
             "acceleration_demand_m_s2": self.feasibility.demand,
             "acceleration_limit_m_s2": self.feasibility.limit,
             "pieces": pieces,

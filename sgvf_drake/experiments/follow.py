@@ -19,9 +19,9 @@ STEP_PER_SIGMA = 0.5
 LOG_PERIOD = 0.05
 # Points of the reference at which the speed on the path is read.
 SPEED_SAMPLES = 2_000
+# How many times as long as usual the fields of a recipe are followed: those of the paper's are
+# slow, with |m| from 0.3 to 0.6 on their path.
 PATIENCE = {"paper": 4.0}
-"""How many times as long as usual the fields of a recipe are followed: those of the paper's are
-slow, with |m| from 0.3 to 0.6 on their path."""
 
 
 class PathField(Field, Protocol):
@@ -90,11 +90,11 @@ def follow(
         reference: What the trajectories are measured against, in the field's unit.
         starts: Number of agents.
         duration: Seconds at unit speed; None: 1.5 longest pieces + 15 U.
-        progress: Told how far the simulation is.
+        progress: Is told how far the simulation is.
 
     Raises:
-        ConfigurationError: The duration is not one sample long, or no start is asked for.
-        NonFiniteValueError: The field is not finite somewhere on the way.
+        ConfigurationError: If the duration is not one sample long, or no start is asked for.
+        NonFiniteValueError: If the field is not finite somewhere on the way.
     """
     unit = field.cloud.unit_length
     if duration is None:

@@ -37,8 +37,8 @@ def choose_reference(
         `cloud` (the spanning tree of the waypoints).
 
     Raises:
-        PointCloudError: The file cannot be read.
-        ConfigurationError: The file has another dimension than the field.
+        PointCloudError: If the file cannot be read.
+        ConfigurationError: If the file has another dimension than the field.
     """
     if file is not None:
         path = ReferencePath.read(file, columns, closed)

@@ -31,7 +31,7 @@ def advance(
         period: A period at which the simulation has events anyway, seconds.  It is stopped
             only at multiples of it, so that reporting changes no step of the integrator.
         stage: What to call it.
-        progress: Told how far it is.
+        progress: Is told how far it is.
     """
     samples = max(1, int(duration / period / REPORTS))
     stops = [
@@ -74,14 +74,14 @@ def simulate_agents(
         way: How far they would get at full speed, U.
         step: Of the integrator, U at full speed.
         log_period: Between two samples, U at full speed.
-        progress: Told how far the simulation is.
+        progress: Is told how far the simulation is.
 
     Returns:
         The ways (T,) at full speed until each sample, U; the states (T, n, k); and the wall
         time of the simulation, seconds.
 
     Raises:
-        NonFiniteValueError: The field is not finite somewhere on the way.
+        NonFiniteValueError: If the field is not finite somewhere on the way.
     """
     diagram = MakeKinematicDiagram(field, len(starts), speed=unit_length, log_period=log_period)
     simulator = MakeSimulator(diagram, step=step)

@@ -1,6 +1,6 @@
 """One flight along several pieces of a path, one after the other (paper, Fig. 3)."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -195,8 +195,10 @@ def _time_limit(
 def _legs_and_transfers(
     log: pd.DataFrame, unit_length: float
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Returns the figures of each part of a log with one mode and one piece."""
     legs, transfers = [], []
-    for part in _parts(log):
+    part_number = (log[["mode", "piece"]].diff() != 0).any(axis=1).cumsum()
+    for _, part in log.groupby(part_number):
         figures: dict[str, Any] = {
             "piece": int(part["piece"].iloc[0]),
             "begin_s": float(part["time"].iloc[0]),
@@ -215,14 +217,6 @@ def _legs_and_transfers(
             }
             legs.append(figures | _motion_figures(measured))
     return legs, transfers
-
-
-def _parts(log: pd.DataFrame) -> Iterator[pd.DataFrame]:
-    """Yields the parts of a log with one mode and one piece."""
-    keys = log[["mode", "piece"]].to_numpy()
-    borders = np.flatnonzero((np.diff(keys, axis=0) != 0).any(axis=1)) + 1
-    for begin, end in pairwise([0, *borders, len(log)]):
-        yield log.iloc[begin:end]
 
 
 def _motion_figures(part: pd.DataFrame) -> dict[str, float]:

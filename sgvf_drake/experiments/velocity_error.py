@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 import pandas as pd
 
 from sgvf_drake.arrays import BoolArray, FloatArray
@@ -72,6 +73,17 @@ class VelocityErrors:
             "V_max_settled": settled["V"].max(),
         }
         return {name: None if settled.empty else float(x) for name, x in figures.items()}
+
+    def lowest_covering(self, levels: ArrayLike, e_star: ArrayLike) -> float | None:
+        """Returns the first of rising levels that tolerates the largest settled error.
+
+        None: none does, or the flight never settled.
+        """
+        largest = self.settled_figures()["error_max"]
+        if largest is None:
+            return None
+        covering = np.asarray(levels)[np.asarray(e_star) > largest]
+        return float(covering[0]) if len(covering) else None
 
 
 def velocity_error(
@@ -146,8 +158,6 @@ class TrackingResult:
             value and self.speed * value
             for value in (figures[f"error_{name}"] for name in ("median", "99_percent", "max"))
         )
-        needed = np.inf if largest is None else largest
-        covering = self.margins.levels[self.speed * self.margins.e_star > needed]
         return {
             "piece": flight.piece,
             "settled_s": figures["settled_s"],
@@ -155,7 +165,9 @@ class TrackingResult:
             "tracking_error_99_percent_m_s": high,
             "tracking_error_max_m_s": largest,
             "covered": None if largest is None else largest < self.tolerated,
-            "smallest_covering_level": float(covering[0]) if len(covering) else None,
+            "smallest_covering_level": flight.lowest_covering(
+                self.margins.levels, self.margins.e_star
+            ),
             "V_max_settled": figures["V_max_settled"],
             "exit": None if flight.exit is None else str(flight.exit),
         }
@@ -254,14 +266,11 @@ class FlightMargin(VelocityErrors):
         That {V <= c} is not left under such errors is proved.  None: there is no such level,
         or the flight never settled.
         """
-        found, figures = self.certified.certificate, self.settled_figures()
-        if figures["error_max"] is None:
-            return None
+        found, highest = self.certified.certificate, self.settled_figures()["V_max_settled"]
         # Each margin holds on a closed interval of levels, so at its lower end.
-        levels = np.array(found.levels[:-1])
-        tolerates = np.array(found.e_star) > figures["error_max"]
-        covering = levels[tolerates & (levels >= figures["V_max_settled"])]
-        return float(covering[0]) if len(covering) else None
+        levels, e_star = np.array(found.levels[:-1]), np.array(found.e_star)
+        high = levels >= (np.inf if highest is None else highest)
+        return self.lowest_covering(levels[high], e_star[high])
 
     def summary(self) -> dict[str, Any]:
         """Returns the figures by plain names; None where the flight never settled.

@@ -37,21 +37,18 @@ def test_flights_stay_near_the_circles(flown):
         assert summary["speed_mean_m_s"] == pytest.approx(speed, rel=0.01)
         assert summary["laps"] >= 1.0
         assert summary["ended"] is None
-
-
-def test_the_summary_has_the_worst_of_the_pieces(flown):
-    summary = flown.fast.summary()
+    # The worst of the pieces.
     pieces = summary["pieces"]
     assert [piece["piece"] for piece in pieces] == [0, 1]
-    for key in (
-        "cross_track_rms_m",
-        "cross_track_max_m",
-        "altitude_rms_m",
-        "motor_force_max_n",
+    for pick, keys in (
+        (
+            max,
+            ("cross_track_rms_m", "cross_track_max_m", "altitude_rms_m", "motor_force_max_n"),
+        ),
+        (min, ("laps", "real_time_factor")),
     ):
-        assert summary[key] == max(piece[key] for piece in pieces), key
-    for key in ("laps", "real_time_factor"):
-        assert summary[key] == min(piece[key] for piece in pieces), key
+        for key in keys:
+            assert summary[key] == pick(piece[key] for piece in pieces), key
     error = [abs(piece["speed_mean_m_s"] - 2.0) for piece in pieces]
     assert abs(summary["speed_mean_m_s"] - 2.0) == max(error)
 
@@ -106,10 +103,10 @@ def test_a_cloud_can_be_the_reference_and_the_altitude_is_held(flight_field):
     field = flight_field.rescaled(0.5)
     reference, kind = choose_reference(field)
     assert kind == "cloud"
-    result = fly(field, reference, speed=1.5, laps=1.2, altitude=3.5)
+    result = fly(field, reference, speed=1.0, laps=1.2, altitude=3.5)
     summary = result.summary()
     assert summary["laps"] >= 1.0
-    assert summary["cross_track_rms_m"] <= 0.02
+    assert summary["cross_track_rms_m"] <= 0.01
     for flight in result.flights:
         np.testing.assert_allclose(flight.log["z"], 3.5, atol=0.03)
 
@@ -208,38 +205,30 @@ def test_a_field_without_the_end_does_not_end(open_field_of_arc, half_circle):
 # Feasibility.
 
 
-def test_the_demand_is_that_of_the_circles(flight_field, rings):
+def test_the_demand_is_that_of_the_circles_and_the_limit_that_of_the_thrust(
+    flight_field, rings
+):
     for piece, radius in enumerate(RADII):
         circle = ReferencePath(rings.pieces[piece : piece + 1])
-        for speed in (0.45, 2.0, 3.0, 4.0):
+        for speed in (0.45, 3.0):
             found = check_feasibility(flight_field, circle, speed, VEHICLE)
             assert 0.9 <= found.demand * radius / speed**2 <= 1.25
-            assert found.is_feasible
-
-
-def test_a_speed_beyond_the_thrust_is_told(flight_field, rings):
     limit = 9.81 * math.sqrt(4.1**2 - 1.0)
+    assert found.limit == pytest.approx(limit)
     weak = QuadrotorParameters(thrust_to_weight=1.02)
     for vehicle, speed, feasible in (
-        (VEHICLE, 0.9 * math.sqrt(limit * RADII[0]), True),
-        (VEHICLE, 1.1 * math.sqrt(limit * RADII[0]), False),
+        (VEHICLE, math.sqrt(0.8 * limit * RADII[0]), True),
+        (VEHICLE, math.sqrt(1.2 * limit * RADII[0]), False),
         (weak, 0.45, True),
         (weak, 2.0, False),
     ):
         found = check_feasibility(flight_field, rings, speed, vehicle)
         assert found.is_feasible is feasible
-        if vehicle is VEHICLE:
-            assert found.limit == pytest.approx(limit)
-
-
-def test_the_demand_is_that_of_the_widened_field(flight_field, rings):
-    speed = 3.0
-    assert FieldForSpeed(flight_field, speed) is not flight_field
-    found = check_feasibility(flight_field, rings, speed, VEHICLE)
-    points = np.concatenate([piece.sample(500) for piece in rings.pieces])
-    m, J = flight_field.value_and_jacobian(points)
-    narrow = speed**2 * np.linalg.norm((J @ m[:, :, None])[:, :, 0], axis=1).max()
-    assert found.demand < narrow
+    # It is that of the field as it is flown, which is wider.
+    assert FieldForSpeed(flight_field, 3.0) is not flight_field
+    m, J = flight_field.value_and_jacobian(rings.pieces[0].sample(500))
+    narrow = 3.0**2 * np.linalg.norm((J @ m[:, :, None])[:, :, 0], axis=1).max()
+    assert check_feasibility(flight_field, rings, 3.0, VEHICLE).demand < narrow
 
 
 # What cannot be flown.
