@@ -1,4 +1,4 @@
-"""Fields in closed form that follow rings, and rows as they are stored."""
+"""Fields in closed form that follow rings, and a check of rows as they are stored."""
 
 import json
 
@@ -16,59 +16,42 @@ from sgvf_drake.fields import (
 )
 from sgvf_drake.paper.experiment import FOLDER
 
-SIGMA = 0.1
-HALF_EXTENT = 4.0
+SIGMA, HALF_EXTENT = 0.1, 4.0
 
 
-def linear_field(cloud, matrix, recipe="paper", gain=0.2):
-    """The exact score of a cloud about the origin, and a tangent A x in units of its extent."""
-    matrix = np.asarray(matrix, dtype=float) / HALF_EXTENT
-    return GuidingField(
-        cloud=cloud,
-        sigma=SIGMA,
-        score_model=GaussianMixture(cloud.normalize(cloud.points), SIGMA),
-        tangent_network=Perceptron((matrix,), (np.zeros(2),), None),
-        composition=(
-            PaperComposition(gain) if recipe == "paper" else RobustComposition(gain, SIGMA)
-        ),
-        recipe=recipe,
-        seed=0,
-    )
+@pytest.fixture(scope="session")
+def turning_field():
+    """Makes fields: the exact score of a cloud about the origin, and v a quarter turn of x.
 
+    (cloud, angle=0.0, size=1.0, recipe="paper", gain=0.2): the turn is tilted outward by the
+    angle, and v is of the given size where x is at the extent of the cloud.
+    """
 
-def turning(angle=0.0):
-    """A quarter turn, tilted outward by an angle: on x it is of the length of x."""
-    return np.array([[np.sin(angle), -np.cos(angle)], [np.cos(angle), np.sin(angle)]])
-
-
-def stored(rows):
-    """Rows of trials after a round trip through JSON, as a reproduction stores them."""
-    return {
-        name: pd.DataFrame(
-            json.loads(json.dumps(plain(table.drop(columns=FOLDER).to_dict("records"))))
+    def make(cloud, angle=0.0, size=1.0, recipe="paper", gain=0.2):
+        turn = np.array([[np.sin(angle), -np.cos(angle)], [np.cos(angle), np.sin(angle)]])
+        robust = RobustComposition(gain, SIGMA)
+        return GuidingField(
+            cloud=cloud,
+            sigma=SIGMA,
+            score_model=GaussianMixture(cloud.normalize(cloud.points), SIGMA),
+            tangent_network=Perceptron((size * turn / HALF_EXTENT,), (np.zeros(2),), None),
+            composition=PaperComposition(gain) if recipe == "paper" else robust,
+            recipe=recipe,
+            seed=0,
         )
-        for name, table in rows.items()
-    }
 
-
-@pytest.fixture(scope="session")
-def make_linear_field():
-    """Makes fields: (cloud, matrix, recipe="paper", gain=0.2); see `linear_field`."""
-    return linear_field
-
-
-@pytest.fixture(scope="session")
-def quarter_turn():
-    """Makes matrices of fields that turn: (angle=0.0); see `turning`."""
-    return turning
+    return make
 
 
 @pytest.fixture(scope="session")
 def check_stored_rows():
-    """Checks that stored rows are enough for tables and claims: (kind, rows)."""
+    """Checks that rows are enough for tables and claims after a round trip through JSON."""
 
     def check(kind, rows):
-        again = stored(rows)
+        again = {}
+        for name, table in rows.items():
+            records = table.drop(columns=FOLDER).to_dict("records")
+            again[name] = pd.DataFrame(json.loads(json.dumps(plain(records))))
         assert kind.findings(again) == kind.findings(rows)
         for now, before in zip(kind.tables(again), kind.tables(rows), strict=True):
             pd.testing.assert_frame_equal(now.content, before.content, check_dtype=False)

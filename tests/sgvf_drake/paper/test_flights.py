@@ -45,10 +45,10 @@ def test_the_motion_on_a_circle_is_that_of_the_formulas_and_a_jump_shows():
 
 
 @pytest.fixture
-def trained(monkeypatch, make_linear_field, quarter_turn):
+def trained(monkeypatch, turning_field):
     """A field in closed form around both rings, as if it were trained."""
     cloud, _ = make_shape("concentric-flight")
-    field = make_linear_field(cloud, quarter_turn(), recipe="robust")
+    field = turning_field(cloud, recipe="robust")
     result = SimpleNamespace(field=field)
     monkeypatch.setattr("sgvf_drake.learning.train", lambda cloud, config: result)
 
