@@ -370,18 +370,13 @@ class Ablation(Experiment):
     tangent_iterations: int = 10_000
     seeds: list[int] = field(default_factory=lambda: [0, 1, 2, 3, 4])
 
-    group: ClassVar[str]
-    """The column that tells trials of the same seed apart, in tables and figures."""
-
+    # What a kind says of itself: the column that tells trials of the same seed apart, what is
+    # drawn of the fields and which of its lengths are told apart by colour, the captions of
+    # the figures of fields (with {} for the seed) and of measures, and what these tell.
+    group: ClassVar[Literal["network", "shape"]]
     symbol: ClassVar[Literal["v", "m"]]
-    """What is drawn of the fields."""
-
     span: ClassVar[Range]
-    """The lengths of it that are told apart by colour."""
-
     captions: ClassVar[tuple[str, str]]
-    """Those of the figures of fields, where {} is the seed, and of measures."""
-
     panels: ClassVar[Sequence[MeasurePanel]]
     seeds_tables: ClassVar[Sequence[SeedsTable]]
 

@@ -277,9 +277,9 @@ def _flight_figure(flight: Mapping[Any, Any]) -> Exhibit:
 def parts_table(flights: pd.DataFrame) -> pd.DataFrame:
     """Returns one row a shape, recipe and part of the flight, over the flights that have it."""
     parts = pd.DataFrame(
-        {"shape": flight["shape"], "recipe": flight["recipe"], **part}
+        {"shape": flight["shape"], "recipe": flight["recipe"], "part": name, **part}
         for flight in flights[flights["error"].isna()].to_dict("records")
-        for part in _parts(flight["summary"])
+        for name, part in _named_parts(flight["summary"])
     )
     if parts.empty:
         return parts
@@ -302,20 +302,19 @@ def parts_table(flights: pd.DataFrame) -> pd.DataFrame:
     )
 
 
-def _parts(summary: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Returns the legs and transfers of a flight in their order, with a name each.
+def _named_parts(summary: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
+    """Returns the legs and transfers of a flight in their order, by a name each.
 
     A transfer follows no piece, so it has no cross-track error.
     """
-    parts = [{"kind": "piece", **leg} for leg in summary["legs"]]
-    parts += [{"kind": "transfer to", **one} for one in summary["transfers"]]
-    parts.sort(key=lambda part: part["begin_s"])
-    seen: list[str] = []
-    for part in parts:
-        name = f"{part['kind']} {part['piece'] + 1}"
-        part["part"] = name + (" again" if name in seen else "")
-        seen.append(name)
-    return parts
+    parts = [("piece", leg) for leg in summary["legs"]]
+    parts += [("transfer to", transfer) for transfer in summary["transfers"]]
+    parts.sort(key=lambda part: part[1]["begin_s"])
+    names = [f"{kind} {part['piece'] + 1}" for kind, part in parts]
+    return [
+        (f"{name} again" if name in names[:number] else name, part)
+        for number, (name, (_, part)) in enumerate(zip(names, parts, strict=True))
+    ]
 
 
 def flights_table(flights: pd.DataFrame) -> pd.DataFrame:

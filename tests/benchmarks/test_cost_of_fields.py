@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 import sgvf_drake as sgvf
-from sgvf_drake.experiments.paper.baselines.methods import CASES, METHODS, make_case
+from sgvf_drake.paper.methods import CASES, METHODS, make_case
 from sgvf_drake.fields import GuidingField, ParametricField
 import sgvf_drake.learning
 

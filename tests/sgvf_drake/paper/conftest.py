@@ -1,13 +1,10 @@
 """What the tests of the paper's experiments share: rings, stored rows, drawn figures."""
 
-import json
-
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 import numpy as np
 import pandas as pd
 import pytest
 
-from sgvf_drake.experiments.results import plain
 from sgvf_drake.fields import (
     GaussianMixture,
     GuidingField,
@@ -16,39 +13,33 @@ from sgvf_drake.fields import (
     RobustComposition,
 )
 from sgvf_drake.paper.experiment import FOLDER
+from sgvf_drake.paper.findings import load_rows, save_rows
 
-SIGMA = 0.1
-HALF_EXTENT = 4.0
-
-
-def linear_field(cloud, matrix, recipe="paper", gain=0.2):
-    """The exact score of a cloud about the origin, and a tangent A x in units of its extent."""
-    matrix = np.asarray(matrix, dtype=float) / HALF_EXTENT
-    return GuidingField(
-        cloud=cloud,
-        sigma=SIGMA,
-        score_model=GaussianMixture(cloud.normalize(cloud.points), SIGMA),
-        tangent_network=Perceptron((matrix,), (np.zeros(2),), None),
-        composition=(
-            PaperComposition(gain) if recipe == "paper" else RobustComposition(gain, SIGMA)
-        ),
-        recipe=recipe,
-        seed=0,
-    )
+SIGMA, HALF_EXTENT = 0.1, 4.0
 
 
-def turning(angle=0.0):
-    """A quarter turn, tilted outward by an angle: on x it is of the length of x."""
-    return np.array([[np.sin(angle), -np.cos(angle)], [np.cos(angle), np.sin(angle)]])
+@pytest.fixture(scope="session")
+def turning_field():
+    """Makes fields: the exact score of a cloud about the origin, and v a quarter turn of x.
 
+    (cloud, angle=0.0, size=1.0, recipe="paper", gain=0.2): the turn is tilted outward by the
+    angle, and v is of the given size where x is at the extent of the cloud.
+    """
 
-def stored(rows):
-    """Rows of trials after a round trip through JSON, as a reproduction stores them."""
-    tables = {name: table.drop(columns=FOLDER, errors="ignore") for name, table in rows.items()}
-    return {
-        name: pd.DataFrame(json.loads(json.dumps(plain(table.to_dict("records")))))
-        for name, table in tables.items()
-    }
+    def make(cloud, angle=0.0, size=1.0, recipe="paper", gain=0.2):
+        turn = np.array([[np.sin(angle), -np.cos(angle)], [np.cos(angle), np.sin(angle)]])
+        robust = RobustComposition(gain, SIGMA)
+        return GuidingField(
+            cloud=cloud,
+            sigma=SIGMA,
+            score_model=GaussianMixture(cloud.normalize(cloud.points), SIGMA),
+            tangent_network=Perceptron((size * turn / HALF_EXTENT,), (np.zeros(2),), None),
+            composition=PaperComposition(gain) if recipe == "paper" else robust,
+            recipe=recipe,
+            seed=0,
+        )
+
+    return make
 
 
 def ink(figure):
@@ -59,24 +50,14 @@ def ink(figure):
     return (np.asarray(canvas.buffer_rgba())[..., :3] < 230).any(axis=2).mean()
 
 
-@pytest.fixture(scope="session")
-def make_linear_field():
-    """Makes fields: (cloud, matrix, recipe="paper", gain=0.2); see `linear_field`."""
-    return linear_field
-
-
-@pytest.fixture(scope="session")
-def quarter_turn():
-    """Makes matrices of fields that turn: (angle=0.0); see `turning`."""
-    return turning
-
-
-@pytest.fixture(scope="session")
-def check_stored_rows():
-    """Checks that stored rows are enough for tables and claims: (kind, rows)."""
+@pytest.fixture
+def check_stored_rows(tmp_path):
+    """Checks that rows are enough for tables and claims after they were stored."""
 
     def check(kind, rows):
-        again = stored(rows)
+        tables = {name: table.drop(columns=FOLDER) for name, table in rows.items()}
+        save_rows(tables, tmp_path / "rows.json")
+        again = load_rows(tmp_path / "rows.json")
         assert kind.findings(again) == kind.findings(rows)
         for now, before in zip(kind.tables(again), kind.tables(rows), strict=True):
             pd.testing.assert_frame_equal(now.content, before.content, check_dtype=False)
@@ -85,11 +66,12 @@ def check_stored_rows():
 
 
 @pytest.fixture
-def check_outcome():
+def check_outcome(tmp_path):
     """Checks what a run of an experiment left: pictures, and the same from stored rows."""
 
     def check(experiment, outcome):
-        rows = stored(outcome.rows)
+        save_rows(outcome.rows, tmp_path / "outcome.json")
+        rows = load_rows(tmp_path / "outcome.json")
         figures = [e for e in outcome.exhibits if not isinstance(e.content, pd.DataFrame)]
         for figure in figures:
             assert 0.02 < ink(figure.content) < 0.9, figure.name

@@ -1,24 +1,13 @@
-"""What both ablations share: effects paired by seed, and how fields are followed and checked."""
+"""What both ablations share: effects paired by seed; how fields are followed and checked."""
 
-from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from sgvf_drake.experiments.workbench import Workbench
 from sgvf_drake.paper import ablation
-from sgvf_drake.paper.ablation import (
-    COMPLETE,
-    NO_UNIT,
-    SPEED_ERROR,
-    checked_row,
-    effect_of,
-    fields_table,
-    followed_row,
-    widths,
-)
-from sgvf_drake.paper.loss_ablation import LossAblation
+from sgvf_drake.paper.ablation import COMPLETE, NO_UNIT, SPEED_ERROR, effect_of
 from sgvf_drake.paths import PointCloud, shape_path
 
 
@@ -56,74 +45,40 @@ def test_a_factor_does_not_mind_how_far_a_length_runs_off():
     assert "a factor of 13" in str(effect)
 
 
-def test_a_followed_ring_is_followable_and_a_source_on_it_is_not(
-    tmp_path, make_linear_field, quarter_turn
+@pytest.mark.parametrize(("size", "good"), [(1.0, True), (0.0, False)])
+def test_a_ring_is_followable_and_without_a_tangent_it_is_not(
+    tmp_path, turning_field, size, good
 ):
     path = shape_path("circle")
-    cloud = PointCloud(path.pieces[0].sample(200))
-    field = make_linear_field(cloud, quarter_turn())
-    good = followed_row(field, path, 9, 1.0, tmp_path / "good.npz")
-    assert good["followable"]
-    assert good["lap"] == good["settle"] == 1.0
-    assert np.load(tmp_path / "good.npz")["followed"].all()
-    # Without a tangent, agents stop on the ring.
-    still = make_linear_field(cloud, 0 * quarter_turn())
-    assert not followed_row(still, path, 9, 1.0, tmp_path / "bad.npz")["followable"]
-    run = np.load(tmp_path / "bad.npz")
-    assert not run["followed"].any()
+    field = turning_field(PointCloud(path.pieces[0].sample(200)), size=size)
+    row = ablation.followed_row(field, path, 9, 1.0, tmp_path / "run.npz")
+    assert (row["followable"], row["lap"]) == (good, float(good))
+    run = np.load(tmp_path / "run.npz")
+    assert (run["followed"] == good).all()
     assert run["ends"].shape == (9, 2)
 
 
 def test_of_the_violations_only_zeros_that_count_are_counted(monkeypatch):
-    violations = [
-        SimpleNamespace(counts=counts, kind=kind)
-        for counts, kind in ((True, "zero"), (True, "zero"), (False, "zero"), (True, "slow"))
-    ]
-    found = SimpleNamespace(
-        holds=False,
-        reason="m vanishes",
-        band=None,
-        violations=violations,
-        slowest=0.0,
-        decrease_fraction=0.9,
-        assumptions=SimpleNamespace(
-            cosine=SimpleNamespace(mean=0.2), length=SimpleNamespace(mean=0.3)
-        ),
-    )
+    kinds = ((True, "zero"), (True, "zero"), (False, "zero"), (True, "slow"))
+    violations = [Mock(counts=counts, kind=kind) for counts, kind in kinds]
+    found = Mock(band=None, violations=violations)
     monkeypatch.setattr(ablation, "verify", lambda field, reference, ratios: found)
-    row = checked_row(None, None, (1.0,))
-    assert (row["holds"], row["band"], row["zeros"]) == (False, False, 2)
+    row = ablation.checked_row(None, None, (1.0,))
+    assert (row["band"], row["zeros"]) == (False, 2)
 
 
 def test_a_table_has_a_row_a_field_and_the_larger_error_of_the_speed():
     def measures(slow, fast):
-        return {"following": {"speed_min": slow, "speed_max": fast}, "passed": True}
+        return {"following": {"speed_min": slow, "speed_max": fast}}
 
+    labels = {"shape": "circle", "hidden": (128,), "variants": (NO_UNIT,), "folder": "there"}
     trials = pd.DataFrame(
-        {
-            "shape": "circle",
-            "seed": seed,
-            "hidden": (128,),
-            "variants": (NO_UNIT,),
-            "folder": "there",
-            COMPLETE: measures(0.9, 1.0),
-            NO_UNIT: measures(0.99, 1.2),
-        }
+        {"seed": seed, **labels, COMPLETE: measures(0.9, 1.0), NO_UNIT: measures(0.99, 1.2)}
         for seed in (3, 4)
     )
-    fields = fields_table(trials)
+    fields = ablation.fields_table(trials)
     assert fields["seed"].tolist() == [3, 3, 4, 4]
     assert fields["variant"].tolist() == 2 * [COMPLETE, NO_UNIT]
-    assert fields["network"].unique().tolist() == ["[2,128,2]"]
     np.testing.assert_allclose(fields[SPEED_ERROR], 2 * [0.1, 0.2])
-    assert widths([64] * 4) == "[2,64,64,64,64,2]"
-
-
-def test_a_failing_trial_leaves_no_record(tmp_path, monkeypatch):
-    def fail(*_, **__):
-        raise RuntimeError("no network today")
-
-    monkeypatch.setattr("sgvf_drake.learning.train", fail)
-    with pytest.raises(Exception, match="no network today"):
-        LossAblation(seeds=[0]).run(Workbench(tmp_path))
-    assert not list(tmp_path.glob("measure_*"))
+    assert fields["network"].unique().tolist() == ["[2,128,2]"]
+    assert ablation.widths([64] * 4) == "[2,64,64,64,64,2]"

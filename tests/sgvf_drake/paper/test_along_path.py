@@ -15,98 +15,81 @@ from sgvf_drake.paper.along_path import (
 )
 from sgvf_drake.paths import Piece, PointCloud, ReferencePath, shape_path
 
-UNIT = 1.0
 RADIUS = 3.0
 
 
-def around(x, center=(0.0, 0.0)):
-    """A quarter turn of the direction from a centre: counter-clockwise on its rings."""
-    away = x - center
-    return np.column_stack([-away[:, 1], away[:, 0]]) / np.linalg.norm(
-        away, axis=1, keepdims=True
-    )
+def turned(samples, backward=False, center=(0.0, 0.0)):
+    """Unit vectors counter-clockwise around a centre, the other way where it is told."""
+    away = samples.points - center
+    around = np.column_stack([-away[:, 1], away[:, 0]])
+    signs = np.where(backward, -1, 1) / np.linalg.norm(away, axis=1)
+    return around * signs[:, None]
 
 
 def angles(points):
     return np.degrees(np.arctan2(points[:, 1], points[:, 0]))
 
 
-def turned(samples, backward):
-    """The field around the origin, turned the other way where it is told."""
-    return around(samples.points) * np.where(backward, -1, 1)[:, None]
-
-
-def test_samples_are_at_equal_steps_with_unit_tangents_on_both_rings():
-    samples = sample_path(shape_path("concentric-circles"), UNIT)
+def test_samples_are_at_equal_steps_with_tangents_along_both_rings():
+    samples = sample_path(shape_path("concentric-circles"), 1.0)
     radii = np.linalg.norm(samples.points, axis=1)
     np.testing.assert_allclose(radii, np.where(samples.pieces == 0, 2.0, 4.0), rtol=1e-6)
-    np.testing.assert_allclose(samples.tangents, around(samples.points), atol=2e-3)
+    np.testing.assert_allclose(samples.tangents, turned(samples), atol=2e-3)
     for piece, step in enumerate(samples.steps):
         here = samples.points[samples.pieces == piece]
         gaps = np.linalg.norm(here - np.roll(here, 1, axis=0), axis=1)
         np.testing.assert_allclose(gaps, step, rtol=1e-4)
         assert SPACING / 2 < step <= SPACING
-    for sign in (1, -1):
-        row = direction_row(directions(samples, sign * around(samples.points), UNIT))
+    for backward in (False, True):
+        row = direction_row(directions(samples, turned(samples, backward), 1.0))
         assert row == {"sources": 0.0, "sinks": 0.0, "conflicted": 0.0, "opposed": 0.0}
-
-
-def test_a_tangent_at_a_corner_is_between_those_of_its_sides():
-    samples = sample_path(shape_path("square"), UNIT)
-    corner = np.linalg.norm(samples.points - [3.0, -3.0], axis=1).argmin()
-    np.testing.assert_allclose(samples.tangents[corner], np.sqrt([0.5, 0.5]), atol=1e-9)
+    # At a corner, between those of its sides.
+    square = sample_path(shape_path("square"), 1.0)
+    corner = np.linalg.norm(square.points - [3.0, -3.0], axis=1).argmin()
+    np.testing.assert_allclose(square.tangents[corner], np.sqrt([0.5, 0.5]), atol=1e-9)
 
 
 def test_two_flips_on_a_ring_make_one_source_and_one_sink_where_they_are():
     # Counter-clockwise on three quarters of the circle, from 90 degrees on: the arrows part
     # at 90 degrees, and meet at 0.
-    samples = sample_path(shape_path("circle"), UNIT)
+    samples = sample_path(shape_path("circle"), 1.0)
     angle = angles(samples.points)
-    (piece,) = directions(samples, turned(samples, (angle > 0) & (angle < 90)), UNIT)
-    assert piece.has_conflict
+    (piece,) = directions(samples, turned(samples, (angle > 0) & (angle < 90)), 1.0)
     np.testing.assert_allclose(angles(piece.sources), [90.0], atol=0.5)
     np.testing.assert_allclose(angles(piece.sinks), [0.0], atol=0.5)
     assert piece.against == pytest.approx(0.25, abs=0.002)
 
 
 def test_pieces_are_judged_apart():
-    samples = sample_path(shape_path("separated-circles"), UNIT)
-    vectors = around(samples.points, (2.0, 0.0))
+    samples = sample_path(shape_path("separated-circles"), 1.0)
+    vectors = turned(samples, center=(2.0, 0.0))
     # A uniform wind on the left ring.
     vectors[samples.pieces == 0] = [1.0, 0.0]
-    first, second = directions(samples, vectors, UNIT)
-    assert not second.has_conflict
+    first, second = directions(samples, vectors, 1.0)
     np.testing.assert_allclose(first.sources, [[-3.5, 0.0]], atol=SPACING)
     np.testing.assert_allclose(first.sinks, [[-0.5, 0.0]], atol=SPACING)
+    assert (first.has_conflict, second.has_conflict) == (True, False)
     row = direction_row([first, second])
     assert row["sources"] == row["sinks"] == row["conflicted"] == 0.5
     assert row["opposed"] == pytest.approx(0.5, abs=0.01)
 
 
 @pytest.mark.parametrize(("length", "conflicts"), [(0.8, 0), (1.3, 1)])
-def test_only_a_stretch_of_some_length_is_a_conflict(length, conflicts):
-    samples = sample_path(shape_path("circle"), UNIT)
+@pytest.mark.parametrize("unit", [1.0, 0.1])
+def test_only_a_stretch_of_some_length_is_a_conflict(length, conflicts, unit):
+    vertices = unit * shape_path("circle").pieces[0].vertices
+    samples = sample_path(ReferencePath((Piece(vertices, closed=True),)), unit)
     half = np.degrees(length * SHORTEST / RADIUS) / 2
     # Across the first sample, where the list of samples begins and ends.
-    (piece,) = directions(samples, turned(samples, abs(angles(samples.points)) < half), UNIT)
+    (piece,) = directions(samples, turned(samples, abs(angles(samples.points)) < half), unit)
     assert (len(piece.sources), len(piece.sinks)) == (conflicts, conflicts)
-
-
-def test_the_unit_scales_what_is_long():
-    small = ReferencePath((Piece(shape_path("circle").pieces[0].vertices / 10, closed=True),))
-    samples = sample_path(small, UNIT / 10)
-    assert len(samples.points) == len(sample_path(shape_path("circle"), UNIT).points)
-    # 20 degrees of 0.3 are 0.1: one U here, and less than the shortest stretch of a larger U.
-    vectors = turned(samples, abs(angles(samples.points)) < 10)
-    assert directions(samples, vectors, UNIT / 10)[0].has_conflict
-    assert not directions(samples, vectors, UNIT)[0].has_conflict
 
 
 def test_an_open_line_may_have_a_source_alone():
     line = ReferencePath((Piece(np.array([[-2.0, 0.0], [2.0, 0.0]]), closed=False),))
-    samples = sample_path(line, UNIT)
+    samples = sample_path(line, 1.0)
     np.testing.assert_allclose(samples.tangents, [[1.0, 0.0]] * len(samples.points))
-    (piece,) = directions(samples, samples.points - [0.5, 0.0], UNIT)
+    (piece,) = directions(samples, samples.points - [0.5, 0.0], 1.0)
     np.testing.assert_allclose(piece.sources, [[0.5, 0.0]], atol=SPACING)
     assert len(piece.sinks) == 0
     assert piece.against == pytest.approx(1.5 / 4, abs=0.01)
@@ -119,36 +102,33 @@ def circle():
     return path, sample_path(path, RADIUS / 4), PointCloud(path.pieces[0].sample(200))
 
 
-def test_lengths_are_those_of_a_linear_tangent(circle, make_linear_field, quarter_turn):
+def test_lengths_are_those_of_a_linear_tangent(circle, turning_field):
     path, samples, cloud = circle
-    once, twice, silent = (
-        lengths_row(make_linear_field(cloud, size * quarter_turn(), gain=gain), path, samples)
-        for size, gain in ((1, 0.2), (2, 0.2), (1, 1e-12))
+    # The other is twice as long, and without a score.
+    once, twice = (
+        lengths_row(turning_field(cloud, **options), path, samples)
+        for options in ({}, {"size": 2.0, "gain": 1e-12})
     )
-    # On the circle |v| = 1; over the box of half-size 5 U = 1.25 R it is |x| / R.
-    assert once["v_path_min"] == pytest.approx(1.0, abs=1e-6)
-    assert once["v_path_max"] == pytest.approx(1.0, abs=1e-6)
+    # On the circle |v| = 1; over the box of half-size h = 5 U = 1.25 R it is |x| / R, and
+    # the mean distance from the centre of a square is 0.7652 h.
+    assert once["v_path_min"] == pytest.approx(once["v_path_max"]) == pytest.approx(1.0)
     assert once["v_near"] == pytest.approx(1.0, abs=2e-3)
     assert once["v_box_max"] == pytest.approx(1.25 * np.sqrt(2), rel=1e-6)
     assert once["v_box_min"] == pytest.approx(0.0, abs=1e-12)
-    # The mean distance from the centre of a square of half-size h is 0.7652 h.
     assert once["v_box"] == pytest.approx(0.7652 * 1.25, rel=0.02)
     assert once["fading"] == pytest.approx(once["v_near"] / once["v_away"])
     for name in ("v_path", "v_box", "v_box_sd", "v_near", "v_away"):
         assert twice[name] == pytest.approx(2 * once[name])
-    assert twice["fading"] == pytest.approx(once["fading"])
     # Without a score, |m| - 1 is |v| - 1.
-    expected = np.sqrt(silent["v_box_sd"] ** 2 + (silent["v_box"] - 1) ** 2)
-    assert silent["m_error"] == pytest.approx(expected)
-    assert silent["leads_near"] == silent["leads_away"] == 1.0
+    expected = np.sqrt(twice["v_box_sd"] ** 2 + (twice["v_box"] - 1) ** 2)
+    assert twice["m_error"] == pytest.approx(expected)
+    assert twice["leads_near"] == twice["leads_away"] == 1.0
 
 
 @pytest.mark.parametrize(("angle", "kept"), [(0.0, 1.0), (0.05, 1.0), (0.2, 0.0)])
-def test_a_tilt_is_found_with_its_angle_and_its_drift(
-    circle, make_linear_field, quarter_turn, angle, kept
-):
+def test_a_tilt_is_found_with_its_angle_and_its_drift(circle, turning_field, angle, kept):
     path, samples, cloud = circle
-    row = drift_row(make_linear_field(cloud, quarter_turn(angle)), path, samples)
+    row = drift_row(turning_field(cloud, angle), path, samples)
     # The score of the waypoints is radial up to what lies between them.
     assert row["beside_cosine"] == pytest.approx(np.sin(angle), abs=1e-3)
     # Inside the ring the same tilt is toward it: away and toward cancel.
@@ -158,9 +138,8 @@ def test_a_tilt_is_found_with_its_angle_and_its_drift(
     assert row["kept"] == kept
 
 
-def test_away_from_the_ring_on_both_sides_is_outward(circle, make_linear_field, quarter_turn):
+def test_away_from_the_ring_on_both_sides_is_outward(circle, turning_field):
     path, samples, cloud = circle
-    field = make_linear_field(cloud, quarter_turn())
 
     class Fleeing(GuidingField):
         """The score backwards is outward everywhere."""
@@ -169,7 +148,6 @@ def test_away_from_the_ring_on_both_sides_is_outward(circle, make_linear_field, 
             s, _ = super().components(x)
             return s, -s
 
-    fleeing = Fleeing(**{name: getattr(field, name) for name in field.__dataclass_fields__})
-    row = drift_row(fleeing, path, samples)
+    row = drift_row(Fleeing(**vars(turning_field(cloud))), path, samples)
     assert row["outward"] == pytest.approx(1.0, abs=1e-3)
     assert row["beside_cosine"] == pytest.approx(1.0, abs=1e-9)

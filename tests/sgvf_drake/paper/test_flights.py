@@ -10,7 +10,7 @@ from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments.workbench import Workbench
 from sgvf_drake.paper import flights
 from sgvf_drake.paper.claims import Verdict
-from sgvf_drake.paper.flights import Flights, flights_table, motion_of
+from sgvf_drake.paper.flights import Flights, flights_table, motion_of, parts_table
 from sgvf_drake.paths import make_shape
 
 SPEED, RADIUS, PERIOD = 0.5, 2.0, 0.01
@@ -45,10 +45,10 @@ def test_the_motion_on_a_circle_is_that_of_the_formulas_and_a_jump_shows():
 
 
 @pytest.fixture
-def trained(monkeypatch, make_linear_field, quarter_turn):
+def trained(monkeypatch, turning_field):
     """A field in closed form around both rings, as if it were trained."""
     cloud, _ = make_shape("concentric-flight")
-    field = make_linear_field(cloud, quarter_turn(), recipe="robust")
+    field = turning_field(cloud, recipe="robust")
     result = SimpleNamespace(field=field)
     monkeypatch.setattr("sgvf_drake.learning.train", lambda cloud, config: result)
 
@@ -142,3 +142,20 @@ def test_a_flight_that_is_not_completed_is_told_of():
     assert "the others: concentric-flight seed 7, 1 of 2 pieces, " in branches.evidence
     told = flights_table(table)["outcome"].tolist()
     assert told == ["completed", "1 of 2 pieces", "strayed"]
+
+
+def test_parts_are_told_in_the_order_of_the_flight():
+    def part(piece, begin, **errors):
+        figures = dict.fromkeys(("speed_min_m_s", "motor_force_min_n"), 0.4)
+        figures |= dict.fromkeys(("speed_max_m_s", "motor_force_max_n"), 0.5)
+        return {"piece": piece, "begin_s": begin, "end_s": begin + 2.0, **figures, **errors}
+
+    errors = {"cross_track_rms_m": 0.005, "cross_track_max_m": 0.05}
+    legs = [part(0, 0.0, **errors), part(1, 4.0, **errors), part(0, 8.0, **errors)]
+    summary = {"legs": legs, "transfers": [part(1, 2.0), part(0, 6.0)]}
+    table = parts_table(pd.DataFrame([planted(summary=summary)] * 2))
+    names = ["piece 1", "transfer to 2", "piece 2", "transfer to 1", "piece 1 again"]
+    assert table["part"].tolist() == names
+    assert (table["flights"] == 2).all()
+    assert table["RMS, mm mean"].isna().tolist() == [False, True, False, True, False]
+    assert table["time, s mean"].tolist() == 5 * [2.0]
