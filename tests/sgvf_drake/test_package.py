@@ -11,7 +11,7 @@ import sgvf_drake
 import systems
 
 PACKAGE = Path(sgvf_drake.__file__).parent
-EXPERIMENTERS = {"cli", "experiments", "__main__.py"}
+EXPERIMENTERS = {"cli", "experiments", "paper", "__main__.py"}
 
 
 def modules_after(code, folder):
