@@ -64,7 +64,7 @@ def _print_reproduction(summary: Mapping[str, Any]) -> None:
         time_s = scenarios[name]["trial_s"]
         return "" if time_s is None else f"{time_s:.1f}"
 
-    columns = {
+    columns: dict[str, Callable[[str], str | Text]] = {
         "scenario": str,
         "": status,
         **{verdict: count(verdict) for verdict in STYLES},

@@ -113,7 +113,7 @@ def _entry(exhibit: Exhibit) -> dict[str, str]:
 
 
 def _stored(out: Path) -> tuple[dict[str, Any], list[str]]:
-    """The summary of an earlier run in a folder, and its files there; empty if none can be read."""
+    """The summary of an earlier run in a folder and its files there; empty if there is none."""
     try:
         summary: dict[str, Any] = json.loads((out / SUMMARY).read_text(encoding="utf-8"))
         names = _result_names(summary)

@@ -48,8 +48,8 @@ def figure(rows):
 
 print("at import")
 ''',
-    "measures.py": '"""Measures."""\nfrom ours.deep import deep\n\nx = deep()  # Deep.\n',
-    "deep.py": "import ours.measures\nfrom ours import whole\n\ndef deep():\n    return whole\n",
+    "measures.py": '"""Measures."""\nfrom ours.deep import deep\nx = deep()  # Deep.\n',
+    "deep.py": "import ours.measures\nfrom ours import whole\ndef deep():\n    return whole\n",
     "late.py": "late = 1\n",
     "whole/__init__.py": "from ours.whole.part import part\n",
     "whole/part.py": "part = 1\n",

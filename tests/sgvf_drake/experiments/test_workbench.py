@@ -292,7 +292,8 @@ from sgvf_drake.experiments import measured_code
 from sgvf_drake.experiments.workbench import Workbench
 
 if __name__ == "__main__":
-    trials = [module.Trial(number, {log!r}) for number in (*range(40), *range(1000, 1000 + {jobs}))]
+    numbers = (*range(40), *range(1000, 1000 + {jobs}))
+    trials = [module.Trial(number, {log!r}) for number in numbers]
     Workbench(Path({store!r}), jobs={jobs}).run(module.measure, trials, "rooting")
 """
 
