@@ -1,7 +1,8 @@
 """Section II-B: Stein's identity, of the exact score, the learned ones and the squashed one."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -133,8 +134,8 @@ class SteinIdentity(Experiment):
                 f"stein-learned-{recipe}",
                 SECTION,
                 f"The learned score satisfies Stein's identity (recipe {recipe}).",
-                _learned(recipe),
-                _keeps_in_part,
+                partial(_learned, recipe=recipe),
+                lambda found: Verdict.when(_keeps(found), found[SHARE_LEFT] <= PART),
                 of_paper=recipe == "paper",
             )
             for recipe in RECIPE_NAMES
@@ -320,18 +321,15 @@ def _log_density(rows: Rows) -> Figures:
     }
 
 
-def _learned(recipe: str) -> Callable[[Rows], Figures]:
-    def figures(rows: Rows) -> Figures:
-        learned = _of(rows, RECIPE_NAMES[recipe])[0]
-        return {
-            SHARE_LEFT: Share(learned["share"]),
-            Z: float(learned["z"]),
-            "limit": _limit([learned]),
-            "E[S], %": float(100 * learned["mean"].mean()),
-            "error of the score": Share(learned["score_error"]),
-        }
-
-    return figures
+def _learned(rows: Rows, recipe: str) -> Figures:
+    learned = _of(rows, RECIPE_NAMES[recipe])[0]
+    return {
+        SHARE_LEFT: Share(learned["share"]),
+        Z: float(learned["z"]),
+        "limit": _limit([learned]),
+        "E[S], %": float(100 * learned["mean"].mean()),
+        "error of the score": Share(learned["score_error"]),
+    }
 
 
 def _squashed(rows: Rows) -> Figures:
@@ -360,22 +358,13 @@ def _squashed_mean(rows: Rows) -> Figures:
     }
 
 
-def _keeps(figures: Mapping[str, Any]) -> Verdict:
-    return Verdict.when(figures[Z] <= figures["limit"])
+def _keeps(found: Mapping[str, Any]) -> bool:
+    return bool(found[Z] <= found["limit"])
 
 
-def _keeps_and_falls(figures: Mapping[str, Any]) -> Verdict:
-    slopes = figures["power of the draws"]
-    falls = all(abs(x - SLOPE) <= SLOPE_TOLERANCE for x in (slopes.low, slopes.high))
-    return Verdict.when(falls and figures[Z] <= figures["limit"])
-
-
-def _keeps_in_part(figures: Mapping[str, Any]) -> Verdict:
-    return Verdict.when(figures[Z] <= figures["limit"], figures[SHARE_LEFT] <= PART)
-
-
-def _departs(figures: Mapping[str, Any]) -> Verdict:
-    return Verdict.when(figures[Z] > figures["limit"])
+def _falls(found: Mapping[str, Any]) -> bool:
+    slopes = found["power of the draws"]
+    return all(abs(slope - SLOPE) <= SLOPE_TOLERANCE for slope in (slopes.low, slopes.high))
 
 
 EXACT_CLAIMS = (
@@ -384,14 +373,14 @@ EXACT_CLAIMS = (
         SECTION,
         "E[S f^T] = -E[grad f] for smooth f of compact support.",
         _identity,
-        _keeps_and_falls,
+        lambda found: Verdict.when(_keeps(found) and _falls(found)),
     ),
     Claim(
         "stein-log-density",
         SECTION,
         "E[S log p] = 0, and E[S] = 0.",
         _log_density,
-        _keeps,
+        lambda found: Verdict.when(_keeps(found)),
     ),
 )
 SQUASHED_CLAIMS = (
@@ -400,14 +389,14 @@ SQUASHED_CLAIMS = (
         NORMALISED,
         "The normalised score s = tanh(k_s |S|) S / |S| does not satisfy the identity.",
         _squashed,
-        _departs,
+        lambda found: Verdict.when(not _keeps(found)),
     ),
     Claim(
         "stein-squashed-mean",
         NORMALISED,
         "The normalised score does not have mean zero.",
         _squashed_mean,
-        _departs,
+        lambda found: Verdict.when(not _keeps(found)),
     ),
 )
 

@@ -148,7 +148,7 @@ class ScoreVanishing(Experiment):
 
     def tables(self, rows: Rows) -> Sequence[Exhibit]:
         counts, places = [], []
-        for (shape, recipe), own in rows[FIELDS].groupby(["shape", "recipe"], sort=False):
+        for (shape, recipe), own in fields_of(rows).groupby(["shape", "recipe"], sort=False):
             case = {"shape": shape, "score": recipe}
             counts.append(case | _counts(own))
             places.append(case | _places(own))
@@ -293,9 +293,11 @@ def zeros_of(rows: Rows, field: str) -> pd.DataFrame:
     return table.astype({"on_path": bool})
 
 
-def vanishing_of(fields: pd.DataFrame) -> pd.DataFrame:
-    """Returns one row a field: the summary of `measure_vanishing`."""
-    return pd.DataFrame(fields["vanishing"].tolist())
+def fields_of(rows: Rows) -> pd.DataFrame:
+    """Returns one row a field, with a column for each part of the summary of vanishing."""
+    fields = rows[FIELDS]
+    vanishing = pd.DataFrame(fields["vanishing"].tolist(), index=fields.index)
+    return fields.drop(columns="vanishing").join(vanishing)
 
 
 def regions_of(fields: pd.DataFrame) -> pd.DataFrame:
@@ -310,13 +312,12 @@ def _robust(table: pd.DataFrame) -> pd.DataFrame:
 
 def _counts(fields: pd.DataFrame) -> Row:
     """Returns the numbers of zeros of the score of a shape and recipe, and their indices."""
-    found = vanishing_of(fields)
     return {
-        **interval_columns("zeros on the path", found["zeros_on_path"]),
-        **interval_columns("zeros off it", found["zeros_off_path"]),
+        **interval_columns("zeros on the path", fields["zeros_on_path"]),
+        **interval_columns("zeros off it", fields["zeros_off_path"]),
         "forced": regions_of(fields.iloc[:1])["euler"].abs().sum(),
-        "indices on the path": _distinct(found["index_sum_on_path"]),
-        "indices off it": _distinct(found["index_sum_off_path"]),
+        "indices on the path": _distinct(fields["index_sum_on_path"]),
+        "indices off it": _distinct(fields["index_sum_off_path"]),
         "on the border": _distinct(fields["score_winding_number"]),
         "regions as topology has them": str(_as_topology(fields)),
     }
@@ -334,14 +335,13 @@ def _as_topology(fields: pd.DataFrame) -> Count:
 
 def _places(fields: pd.DataFrame) -> Row:
     """Returns whether the zeros of a shape and recipe keep to low density, or to bends."""
-    found = vanishing_of(fields)
     # Only the robust recipe has a tangent here, and so a path that m follows.
     followed = fields["recipe"].iloc[0] == "robust"
-    least = found["guiding_min_at_score_zeros_on_path"].min() if followed else None
+    least = fields["guiding_min_at_score_zeros_on_path"].min() if followed else None
     return {
-        **{label: _chance(found[name]) for name, label in COMPARISONS.items()},
+        **{label: _chance(fields[name]) for name, label in COMPARISONS.items()},
         "least |m| on the path": least,
-        "correlation of |S| and log p": found["density_correlation"].mean(),
+        "correlation of |S| and log p": fields["density_correlation"].mean(),
     }
 
 
@@ -353,12 +353,12 @@ def _chance(comparisons: pd.Series) -> str | None:
     return f"{mean:.2f} ({_holding(known)})"
 
 
-# Claims.
-
-
 def _holding(comparisons: pd.Series) -> Count:
     """Returns how many comparisons hold, of those that can be made."""
     return Count.of(comparison["holds"] for comparison in comparisons.dropna())
+
+
+# Claims.
 
 
 def _more_than_chance(count: Count) -> Verdict:
@@ -387,13 +387,10 @@ def _index_rule(found: Mapping[str, Any]) -> Verdict:
 
 
 def _singularity(rows: Rows) -> Figures:
-    fields = _robust(rows[FIELDS])
-    found = vanishing_of(fields)
+    fields = _robust(fields_of(rows))
     score, guiding = (_robust(zeros_of(rows, name)) for name in ("score", "guiding"))
-    meeting, met = (
-        int(found[f"{one}_zeros_at_{other}_zeros"].sum())
-        for one, other in (("score", "guiding"), ("guiding", "score"))
-    )
+    meeting = int(fields["score_zeros_at_guiding_zeros"].sum())
+    met = int(fields["guiding_zeros_at_score_zeros"].sum())
     on_path = score.loc[score["on_path"], "guiding_norm"]
     return {
         "robust fields": len(fields),
@@ -405,12 +402,11 @@ def _singularity(rows: Rows) -> Figures:
 
 
 def _density(rows: Rows) -> Figures:
-    found = vanishing_of(rows[FIELDS])
-    on_path, off_path = (int(found[f"zeros_{side}_path"].sum()) for side in ("on", "off"))
+    fields, zeros = fields_of(rows), zeros_of(rows, "score")
     return {
-        "fields whose zeros keep to low density": _holding(found["low_density"]),
-        "fields whose zeros off the path do": _holding(found["low_density_off_path"]),
-        "zeros on the path": Count(on_path, on_path + off_path),
+        "fields whose zeros keep to low density": _holding(fields["low_density"]),
+        "fields whose zeros off the path do": _holding(fields["low_density_off_path"]),
+        "zeros on the path": Count.of(zeros["on_path"]),
     }
 
 
@@ -423,19 +419,17 @@ def _density_rule(found: Mapping[str, Any]) -> Verdict:
 
 
 def _curvature(rows: Rows) -> Figures:
-    held = vanishing_of(rows[FIELDS])["high_curvature"]
-    return {HIGH_CURVATURE: _holding(held)}
+    return {HIGH_CURVATURE: _holding(fields_of(rows)["high_curvature"])}
 
 
 def _topology(rows: Rows) -> Figures:
-    regions, found = regions_of(rows[FIELDS]), vanishing_of(rows[FIELDS])
+    regions, zeros = regions_of(rows[FIELDS]), zeros_of(rows, "score")
     regions = regions[regions["euler"] != 0]
-    zeros = found["zeros_on_path"].sum() + found["zeros_off_path"].sum()
     return {
         "holes, and regions around more than one loop, with a zero": Count.of(
             regions["zeros"] > 0
         ),
-        "zeros that are there": Count(int(regions["zeros"].sum()), int(zeros)),
+        "zeros that are there": Count(int(regions["zeros"].sum()), len(zeros)),
     }
 
 

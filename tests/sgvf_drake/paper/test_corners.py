@@ -88,45 +88,36 @@ def test_the_least_speed_is_read_near_corners_and_on_the_middle_of_sides():
 # Traps.
 
 
-def row_with(points, stable, **others):
-    return {
-        "unit": UNIT,
-        "zeros": points,
-        "zeros_stable": stable,
-        "undecided": 0,
-        "zeros_score": np.linspace(0.1, 0.2, len(points)),
-        **others,
-    }
+def row_with(*points, **others):
+    """A field with stable zeros at points of the square, in U."""
+    count = len(points)
+    row = {"unit": UNIT, "undecided": 0, "zeros": in_square(*points)}
+    row |= {"zeros_stable": [True] * count, "zeros_score": np.linspace(0.1, 0.2, count)}
+    return row | others
 
 
 def test_traps_are_the_stable_zeros_on_the_path_seen_in_the_direction_of_travel():
-    points = in_square((3.8, -4.0), (-4.0, -3.7), (0.0, 0.0), (4.0, 3.9), (1.0, 4.0))
-    row = row_with(points, [True, True, True, False, True])
-    counter_clockwise = np.ones((4, 100))
-    traps = find_traps(row, counter_clockwise)
+    points = ((3.8, -4.0), (-4.0, -3.7), (0.0, 0.0), (4.0, 3.9), (1.0, 4.0))
+    row = row_with(*points, zeros_stable=[True, True, True, False, True])
+    progress = np.ones((4, 100))
+    traps = find_traps(row, progress)
     assert traps["corner"].tolist() == [1, 0, 2]
     assert traps["near"].tolist() == [True, True, False]
     # The side after (-4, 4) ends at (-4, -4): 0.3 U from there is before it.
     np.testing.assert_allclose(traps["along"], [-0.2, -0.3, 3.0], atol=1e-9)
     np.testing.assert_allclose(traps["score"], [0.1, 0.125, 0.2])
-    back = find_traps(row, -counter_clockwise)
-    np.testing.assert_allclose(back["along"], -traps["along"])
-
-
-def test_a_trap_between_sides_that_run_against_each_other_is_told_apart():
-    progress = np.ones((4, 100))
+    np.testing.assert_allclose(find_traps(row, -progress)["along"], -traps["along"])
+    # Only the middle of a side says which way it runs.
     progress[1] = -1.0
-    # Only the middle of a side counts.
     progress[1, :30] = progress[2, 70:] = 1.0
     assert ways(progress).tolist() == [1, -1, 1, 1]
-    traps = find_traps(row_with(in_square((3.9, -4.0), (-4.0, 4.0)), [True, True]), progress)
-    assert traps["clash"].tolist() == traps["along"].isna().tolist() == [True, False]
+    traps = find_traps(row, progress)
+    assert traps["clash"].tolist() == traps["along"].isna().tolist() == [True, False, True]
 
 
 def test_a_field_is_examined():
     row = row_with(
-        in_square((4, 3.9), (-4.0, 3.9), (-4.1, 4)),
-        [True, True, True],
+        *((4, 3.9), (-4.0, 3.9), (-4.1, 4)),
         final=in_square((4, 3.9), (4, 3.9), (0, 4), (-4, 2), (-4, -4)),
         stalled=[True, True, True, False, False],
         lapped=[False, False, False, True, True],
@@ -137,15 +128,13 @@ def test_a_field_is_examined():
     along = {"speed": np.full((4, 100), 0.5), "progress": np.ones((4, 100))}
     examined = examine(row, along, 4)
     # Two of the three traps share a corner.
-    assert examined["figures"] == pytest.approx(
-        {
-            **{"even": 4 / 32, "stalled": 0.6, "stalled_near": 0.4, "near": 2 / 3},
-            **{"lapped": 0.4, "paused": 0.2, "trapped": 0.5, "trapped_locally": 0.5},
-            **{"undecided": 0, "turns": 0, "speed_corner": 0.5, "speed_side": 0.5},
-            **{"rms": np.nan, "max": 2.0},
-        },
-        nan_ok=True,
-    )
+    expected = {
+        **{"even": 4 / 32, "stalled": 0.6, "stalled_near": 0.4, "near": 2 / 3},
+        **{"lapped": 0.4, "paused": 0.2, "trapped": 0.5, "trapped_locally": 0.5},
+        **{"undecided": 0, "turns": 0, "speed_corner": 0.5, "speed_side": 0.5},
+        **{"rms": np.nan, "max": 2.0},
+    }
+    assert examined["figures"] == pytest.approx(expected, nan_ok=True)
     assert [trap["corner"] for trap in examined["traps"]] == [2, 3, 3]
     along["progress"][2] = -1.0
     against = examine(row, along, 4)["figures"]
@@ -162,37 +151,35 @@ def test_the_waypoints_are_the_same_in_another_order():
     assert gaps.max() < 1e-9
 
 
-# Pauses.
-
-
-def planted_run(ways_along, off=0.0):
+def planted_run(*ways_along, off=0.0):
     """Agents that move along a line by so many U of way at each time, sample by sample."""
     positions = np.stack([np.column_stack([way, 0 * way]) for way in ways_along], axis=1)
-    steps, agents, _ = positions.shape
     stalled = np.array([np.ptp(way[-161:]) == 0 for way in ways_along])
     return SimpleNamespace(
-        times=0.05 * UNIT * np.arange(steps),
+        times=0.05 * UNIT * np.arange(len(positions)),
         positions=UNIT * positions,
-        errors=np.full((steps, agents), off * UNIT),
+        errors=np.full(positions.shape[:2], off * UNIT),
         metrics=SimpleNamespace(stalled=stalled),
     )
 
 
 def test_who_stands_still_and_goes_on_has_paused():
     time = 0.05 * np.arange(800)
-    moving = 0.2 * time
     still = np.interp(time, [0, 10, 20, 40], [0, 10, 10, 30])
-    crawling = np.interp(time, [0, 10, 20, 40], [0, 10, 10.4, 30])
-    short = np.interp(time, [0, 10, 16, 40], [0, 10, 10, 34])
-    for_good = np.interp(time, [0, 10, 40], [0, 10, 10])
-    twice = np.interp(time, [0, 8, 18, 25, 40], [0, 8, 8, 15, 15])
-    run = planted_run([moving, still, crawling, short, for_good, twice])
-    # Slow all the time is not still: 1.6 U in the time for 8.
-    assert paused(run, UNIT).tolist() == [False, True, True, False, False, False]
-    away = planted_run([moving, still], off=0.4)
-    assert not paused(away, UNIT).any()
-    # In half of the time for 8 U nobody can be seen to stand still.
-    assert not paused(planted_run([0 * time[:80]]), UNIT).any()
+    for way, expected in (
+        (still, True),
+        (np.interp(time, [0, 10, 20, 40], [0, 10, 10.4, 30]), True),
+        # Slow all the time is not still: 1.6 U in the time for 8.
+        (0.2 * time, False),
+        # Too short a stop, one for good, and one after another.
+        (np.interp(time, [0, 10, 16, 40], [0, 10, 10, 34]), False),
+        (np.interp(time, [0, 10, 40], [0, 10, 10]), False),
+        (np.interp(time, [0, 8, 18, 25, 40], [0, 8, 8, 15, 15]), False),
+        # In half of the time for 8 U nobody can be seen to stand still.
+        (0 * time[:80], False),
+    ):
+        assert paused(planted_run(way), UNIT).tolist() == [expected]
+    assert not paused(planted_run(still, off=0.4), UNIT).any()
 
 
 # Verdicts.
@@ -202,58 +189,55 @@ QUIET = {
     **{"trapped": 0.0, "trapped_locally": 0.0, "undecided": 0, "turns": 0},
     **{"speed_corner": 0.6, "speed_side": 0.6, "rms": 0.05, "max": 0.1},
 }
+MOST, SOME = [0.5, 0.75, 0.5, 1.0, 0.75], [0.3, 0.2, 0.3, 0.2, 0.2]
 AS_THE_PAPER_SAYS = {
-    "shallow_4_stalled_near": [0.8, 0.9, 0.7, 0.9, 0.8],
-    "shallow_4_near": 0.9,
-    "shallow_4_trapped": [0.5, 0.75, 0.5, 1.0, 0.75],
-    "shallow_4_trapped_locally": [0.5, 0.75, 0.5, 1.0, 0.75],
+    **{"shallow_4_stalled_near": [0.8, 0.9, 0.7, 0.9, 0.8], "shallow_4_near": 0.9},
+    **{"shallow_4_trapped": MOST, "shallow_4_trapped_locally": MOST},
+    **{"shallow_6_trapped": SOME, "shallow_6_trapped_locally": SOME},
     "shallow_6_stalled_near": [0.1, 0.2, 0.3, 0.0, 0.2],
-    "shallow_6_trapped": [0.3, 0.2, 0.3, 0.2, 0.2],
-    "shallow_6_trapped_locally": [0.3, 0.2, 0.3, 0.2, 0.2],
     "shallow_4_speed_corner": [0.2, 0.1, 0.3, 0.2, 0.1],
-    "shallow_6_speed_corner": [0.3, 0.4, 0.3, 0.2, 0.4],
-    "shallow_4_paused": 0.1,
+    **{"shallow_6_speed_corner": [0.3, 0.4, 0.3, 0.2, 0.4], "shallow_4_paused": 0.1},
 }
 
 
+def planted_trial(corners, seed, changes, norms):
+    """A row of the trials; `changes` has the figures by `network_corners_figure`."""
+    trial = {"corners": corners, "seed": seed}
+    for network in NETWORKS:
+        figures = {"even": 0.125 if corners == 4 else 0.25, **QUIET}
+        for name, values in changes.items():
+            of_network, of_corners, figure = name.split("_", 2)
+            if (of_network, int(of_corners)) == (network, corners):
+                figures[figure] = values[seed] if isinstance(values, list) else values
+        trial[network] = {"figures": figures, "traps": [], "restarts": 0}
+    place = {"along": None, "outside": 0.1, "distance": 0.2}
+    trial["shallow"]["traps"] = [{**place, "score": norm} for norm in norms]
+    return trial
+
+
 def verdicts(changes=None, norms=(0.01, 0.02), seeds=5):
-    """Verdicts on fields that do what the paper says, but for `network_corners_figure`."""
+    """Verdicts on fields that do what the paper says, but for some changes."""
     trials = [
-        {
-            "corners": corners,
-            "seed": seed,
-            **{
-                network: {
-                    "figures": {"even": 0.125 if corners == 4 else 0.25, **QUIET},
-                    "traps": [],
-                    "restarts": 0,
-                }
-                for network in NETWORKS
-            },
-        }
+        planted_trial(corners, seed, AS_THE_PAPER_SAYS | (changes or {}), norms)
         for corners in (4, 6, 12)
         for seed in range(seeds)
     ]
-    for name, values in {**AS_THE_PAPER_SAYS, **(changes or {})}.items():
-        network, corners, figure = name.split("_", 2)
-        for trial in trials:
-            if trial["corners"] == int(corners):
-                value = values[trial["seed"]] if isinstance(values, list) else values
-                trial[network]["figures"][figure] = value
-    place = {"along": None, "outside": 0.1, "distance": 0.2}
-    trials[0]["shallow"]["traps"] = [{**place, "score": norm} for norm in norms]
     findings = Corners().findings({POLYGONS: pd.DataFrame(trials)})
     assert not any("nan" in finding.evidence for finding in findings)
     return {finding.key.removeprefix("corners-"): finding.verdict for finding in findings}
 
 
-def test_all_claims_hold_where_fields_do_what_the_paper_says():
+def test_verdicts_follow_from_the_figures():
     found = verdicts()
     assert len(found) == 6
     assert set(found.values()) == {HOLDS}
-
-
-def test_claims_fall_with_what_they_rest_on():
+    by_chance = {
+        "shallow_4_trapped": [0, 0.5, 0, 0.25, 0.5],
+        "shallow_6_trapped": [0, 0.5, 0, 0.5, 0.3],
+        "shallow_12_trapped": [0, 0, 0.5, 0.2, 0.2],
+    }
+    as_many = {"deep_4_trapped_locally": 0.75, "deep_6_trapped_locally": 0.25}
+    no_slower = {"shallow_4_speed_corner": 0.6, "shallow_6_speed_corner": 0.7}
     for key, changes, verdict in (
         ("shallow-square", {"shallow_4_near": 0.1}, PARTLY),
         ("shallow-square", {"shallow_4_stalled_near": 0.0, "shallow_4_near": None}, FAILS),
@@ -262,32 +246,18 @@ def test_claims_fall_with_what_they_rest_on():
         ("deep-eliminates", {"deep_6_undecided": 1}, PARTLY),
         ("deep-eliminates", {"deep_6_trapped_locally": [0, 0, 0.5, 0, 0]}, PARTLY),
         ("deep-eliminates", {"deep_4_stalled_near": 0.3}, PARTLY),
-        (
-            "deep-eliminates",
-            {"deep_4_trapped_locally": 0.75, "deep_6_trapped_locally": 0.25},
-            FAILS,
-        ),
+        ("deep-eliminates", as_many, FAILS),
         ("pauses", {"shallow_4_paused": 0.0}, PARTLY),
         ("pauses", {"shallow_6_stalled": 0.2}, PARTLY),
-        ("pauses", {"shallow_4_speed_corner": 0.6, "shallow_6_speed_corner": 0.7}, FAILS),
+        ("pauses", no_slower, FAILS),
         ("sharper", {"shallow_12_trapped": 1.0}, FAILS),
-        (
-            "sharper",
-            {
-                "shallow_4_trapped": [0, 0.5, 0, 0.25, 0.5],
-                "shallow_6_trapped": [0, 0.5, 0, 0.5, 0.3],
-                "shallow_12_trapped": [0, 0, 0.5, 0.2, 0.2],
-            },
-            FAILS,
-        ),
+        ("sharper", by_chance, FAILS),
     ):
         assert verdicts(changes)[key] is verdict, (key, changes)
     for norms, verdict in (((0.01, 0.3), PARTLY), ((0.2, 0.3), FAILS), ((), FAILS)):
         assert verdicts(norms=norms)["tangent-attractor"] is verdict, norms
-
-
-def test_one_seed_proves_nothing():
-    found = verdicts({"shallow_4_stalled_near": 0.8, "shallow_6_stalled_near": 0.1}, seeds=1)
+    # One seed proves nothing.
+    found = verdicts(seeds=1)
     assert (found["shallow-square"], found["hexagon-less"]) == (PARTLY, FAILS)
 
 
@@ -319,23 +289,23 @@ def test_agents_on_fields_with_a_sink_near_a_corner_are_found_there(
 ):
     # 0.3 U past the corner (4, 4), on the side that follows.
     sink = in_square(3.7, 4.0)
-    asked = []
+    asked, scores = [], []
 
     def plant(cloud, config, score=None):
-        asked.append((config, score))
+        asked.append(config)
+        scores.append(score)
         check = SimpleNamespace(passed=False)
         return SimpleNamespace(field=planted_field(cloud, sink), self_check=check, restarts=0)
 
     monkeypatch.setattr(learning, "train", plant)
     kind = Corners([], num_points=80, starts=9, patience=0.5, effort=0.5, seeds=[0])
     outcome = kind.run(Workbench(tmp_path))
-    shallow, deep, robust = (config for config, _ in asked[:3])
+    shallow, deep, robust = asked[:3]
     assert (shallow.tangent_hidden, deep.tangent_hidden) == ((128,), (64, 64, 64, 64))
     assert shallow.score_iterations == deep.tangent_iterations == 5_000
     assert (robust.recipe, robust.score_iterations) == ("robust", 750)
     # Both tangents are learned around one score.
-    assert [isinstance(score, ScoreNetwork) for _, score in asked[:3]] == [False, True, False]
-
+    assert [isinstance(score, ScoreNetwork) for score in scores[:3]] == [False, True, False]
     assert [exhibit.name for exhibit in outcome.exhibits] == [
         *("corners", "corners_near", "corner_angles", "corner_stalls", "corner_traps")
     ]
@@ -344,11 +314,9 @@ def test_agents_on_fields_with_a_sink_near_a_corner_are_found_there(
     assert stalls["angle, degrees"].tolist() == [90.0] * 3 + [120.0] * 3
     assert traps["before / after / clash"].tolist()[:3] == ["0 / 0 / 1"] * 3
     square = outcome.logs["corner_fields"].iloc[:3]
-    for figure, value in {
-        **{"stalled": 1.0, "stalled_near": 1.0, "near": 1.0, "lapped": 0.0, "trapped": 0.25},
-        **{"trapped_locally": 0.0, "undecided": 0},
-    }.items():
-        assert (square[figure] == value).all(), figure
+    assert (square[["stalled", "stalled_near", "near"]] == 1).all(axis=None)
+    assert (square[["lapped", "trapped_locally", "undecided"]] == 0).all(axis=None)
+    assert (square["trapped"] == 0.25).all()
     for name in NETWORKS:
         (trap,) = outcome.rows[POLYGONS].iloc[0][name]["traps"]
         assert trap["offset"] == pytest.approx(0.3, abs=0.02)

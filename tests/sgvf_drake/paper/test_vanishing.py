@@ -184,7 +184,7 @@ def test_verdicts_follow_from_the_figures():
         ("low-density", {"vanishing": off_path_holds}, PARTLY),
         ("high-curvature", {"vanishing": ON_PATH}, FAILS),
         ("high-curvature", {"vanishing": {"high_curvature": None}}, FAILS),
-        ("topology", {"vanishing": ON_PATH}, PARTLY),
+        ("topology", {"zeros": THREE_ZEROS}, PARTLY),
         ("topology", {"regions": NO_ZERO}, FAILS),
     ):
         assert verdicts(row_of(**changes))[key] is verdict, (key, changes)
