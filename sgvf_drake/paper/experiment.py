@@ -8,11 +8,14 @@ reproduction are enough to draw the tables and judge the claims again.
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+import json
+from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
 import pandas as pd
 
+from sgvf_drake.experiments.results import plain
 from sgvf_drake.experiments.workbench import Measure, Workbench
 from sgvf_drake.paper.claims import Claim, Finding, Rows, judge
 
@@ -116,3 +119,22 @@ def run_trials(
         {**asdict(trial), **record.row, FOLDER: record.folder}
         for trial, record in zip(trials, records, strict=True)
     )
+
+
+def save_rows(rows: Rows, file: Path) -> None:
+    """Writes the rows of the trials of an experiment as JSON, one line a row."""
+    lines = [
+        f"{json.dumps(name)}: [\n"
+        + ",\n".join(
+            json.dumps(plain(row), allow_nan=False) for row in table.to_dict("records")
+        )
+        + "\n]"
+        for name, table in rows.items()
+    ]
+    file.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
+
+
+def load_rows(file: Path) -> dict[str, pd.DataFrame]:
+    """Returns the rows that `save_rows` has written."""
+    stored = json.loads(file.read_text(encoding="utf-8"))
+    return {name: pd.DataFrame(rows) for name, rows in stored.items()}

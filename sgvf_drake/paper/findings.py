@@ -8,16 +8,14 @@ the project, and its page of findings is made from them.
 """
 
 from collections import Counter
-import json
 from pathlib import Path
 import sys
 from typing import Any
 
 import pandas as pd
 
-from sgvf_drake.experiments.results import plain
 from sgvf_drake.paper.claims import Finding, Rows, Verdict
-from sgvf_drake.paper.experiment import Exhibit
+from sgvf_drake.paper.experiment import Exhibit, load_rows
 from sgvf_drake.paper.report.tables import view_table
 from sgvf_drake.paper.scenario import Scenario, load_scenario, scenario_names
 
@@ -30,30 +28,11 @@ eighth of the path's extent. Verdicts follow by a rule in code from the figures 
 """
 
 
-def save_rows(rows: Rows, file: Path) -> None:
-    """Writes the rows of the trials of an experiment as JSON, one line a row."""
-    lines = [
-        f"{json.dumps(name)}: [\n"
-        + ",\n".join(
-            json.dumps(plain(row), allow_nan=False) for row in table.to_dict("records")
-        )
-        + "\n]"
-        for name, table in rows.items()
-    ]
-    file.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
-
-
-def load_rows(file: Path) -> dict[str, pd.DataFrame]:
-    """Returns the rows that `save_rows` has written."""
-    stored = json.loads(file.read_text(encoding="utf-8"))
-    return {name: pd.DataFrame(rows) for name, rows in stored.items()}
-
-
 def findings_page(folder: Path) -> str:
     """Returns the page, in Markdown, of the scenarios whose rows are in a folder.
 
     Args:
-        folder: A file `SCENARIO.json` for each, as `save_rows` writes them.
+        folder: A file `SCENARIO.json` for each, as `experiment.save_rows` writes them.
     """
     found = {
         name: (scenario, load_rows(file))

@@ -21,11 +21,12 @@ from sgvf_drake.experiments.results import (
     write_summary,
 )
 from sgvf_drake.experiments.workbench import Workbench
-from sgvf_drake.paper.experiment import Exhibit, Outcome
+from sgvf_drake.paper.experiment import Exhibit, Outcome, save_rows
 from sgvf_drake.paper.scenario import Scenario
 from sgvf_drake.progress import Progress, no_progress
 
 SCENARIO_FILE = "scenario.yaml"
+ROWS_FILE = "rows.json"
 TRIALS = "trials"
 
 
@@ -39,7 +40,7 @@ def run_scenario(
     resume: bool = False,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
-    """Runs a scenario; leaves its exhibits, logs, the scenario itself and the summary.
+    """Runs a scenario; leaves its exhibits, logs, rows, the scenario itself and the summary.
 
     Trials that were finished before, by a run that was interrupted or one that shares them,
     are not run again.
@@ -125,7 +126,7 @@ def _stored(out: Path) -> tuple[dict[str, Any], list[str]]:
 
 def _result_names(summary: Mapping[str, Any]) -> list[str]:
     exhibits = [entry["file"] for entry in summary["exhibits"]]
-    return [SUMMARY, SCENARIO_FILE, *exhibits, *summary["logs"]]
+    return [SUMMARY, SCENARIO_FILE, ROWS_FILE, *exhibits, *summary["logs"]]
 
 
 def _without(names: Sequence[str], own: Sequence[str]) -> list[str]:
@@ -141,3 +142,4 @@ def _write(outcome: Outcome, folder: Path) -> None:
             exhibit.content.to_csv(path, index=False)
     for name, log in outcome.logs.items():
         log.to_parquet(folder / f"{name}.parquet", index=False)
+    save_rows(outcome.rows, folder / ROWS_FILE)

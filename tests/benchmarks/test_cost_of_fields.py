@@ -11,9 +11,9 @@ import pandas as pd
 import pytest
 
 import sgvf_drake as sgvf
-from sgvf_drake.paper.methods import CASES, METHODS, make_case
 from sgvf_drake.fields import GuidingField, ParametricField
 import sgvf_drake.learning
+from sgvf_drake.paper.methods import CASES, METHODS, make_case
 
 pytestmark = pytest.mark.benchmark
 

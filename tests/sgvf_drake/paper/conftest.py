@@ -12,8 +12,7 @@ from sgvf_drake.fields import (
     Perceptron,
     RobustComposition,
 )
-from sgvf_drake.paper.experiment import FOLDER
-from sgvf_drake.paper.findings import load_rows, save_rows
+from sgvf_drake.paper.experiment import FOLDER, load_rows, save_rows
 
 SIGMA, HALF_EXTENT = 0.1, 4.0
 
