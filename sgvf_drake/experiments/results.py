@@ -39,8 +39,8 @@ def result_folder(
             anew are removed.
 
     Raises:
-        OutputExistsError: `out` holds one of them already and `overwrite` is false.
-        ConfigurationError: `out` cannot be a folder.
+        OutputExistsError: If `out` holds one of them already and `overwrite` is false.
+        ConfigurationError: If `out` cannot be a folder.
     """
     out = Path(out)
     check_results(out, names, overwrite=overwrite)
@@ -75,15 +75,15 @@ def hidden_folder(parent: Path, name: str) -> Iterator[Path]:
         name: What the target is called.
 
     Raises:
-        ConfigurationError: It cannot be made there.
+        ConfigurationError: If it cannot be made there.
     """
     try:
         parent.mkdir(parents=True, exist_ok=True)
         outer = Path(tempfile.mkdtemp(dir=parent, prefix=f".{name}."))
     except OSError as error:
         raise ConfigurationError(f"cannot write to {parent / name}: {error.strerror}") from None
-    try:
-        with (outer / "unlocked").open("w") as lock:
+    with (outer / "unlocked").open("w") as lock:
+        try:
             fcntl.flock(lock, fcntl.LOCK_EX)
             # Under its name only now: nobody sees it without its lock.
             (outer / "unlocked").rename(outer / LOCK)
@@ -91,8 +91,9 @@ def hidden_folder(parent: Path, name: str) -> Iterator[Path]:
             inner = outer / "files"
             inner.mkdir()
             yield inner
-    finally:
-        shutil.rmtree(outer, ignore_errors=True)
+        finally:
+            # Before the lock is given back, so that nobody takes it for abandoned.
+            shutil.rmtree(outer, ignore_errors=True)
 
 
 def remove_abandoned(parent: Path, name: str) -> None:

@@ -86,7 +86,7 @@ def override_names(scenario: str | Path) -> list[str]:
     """Returns the names of the overrides in a scenario's file, in their order.
 
     Raises:
-        ConfigurationError: There is no such scenario, or its file cannot be read.
+        ConfigurationError: If there is no such scenario, or its file cannot be read.
     """
     return _overrides_in(_find(scenario))
 
@@ -105,7 +105,7 @@ def load_scenario(
         settings: Options of the experiment as ``name=value``, the value in YAML; last.
 
     Raises:
-        ConfigurationError: There is no such scenario or override, or the file or a setting
+        ConfigurationError: If there is no such scenario or override, or the file or a setting
             cannot be used; the message names it.
     """
     file = _find(scenario)

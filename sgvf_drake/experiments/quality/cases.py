@@ -104,7 +104,7 @@ def suite_cases(
         circuits: A folder; every .csv file in it is an ordered path and becomes a case.
 
     Raises:
-        ConfigurationError: A number is not positive, or the folder holds no .csv file.
+        ConfigurationError: If a number is not positive, or the folder holds no .csv file.
     """
     for name, number in (("seeds", seeds), ("starts", starts)):
         if number is not None and number < 1:
