@@ -131,19 +131,18 @@ class MotionCapture(Diagram):
             ("state", parameters.sample_period),
             ("onboard_state", parameters.onboard_period),
         ):
-            angles = self._AddHold(
-                builder,
-                attitude,
-                f"{name}_attitude",
-                period,
-                parameters.attitude_noise,
-                ATTITUDE,
-            )
-            turning = self._AddHold(
-                builder, rates, f"{name}_rates", period, parameters.rate_noise, RATES
-            )
+            held = []
+            for part, port, noise, entries in (
+                ("attitude", attitude, parameters.attitude_noise, ATTITUDE),
+                ("rates", rates, parameters.rate_noise, RATES),
+            ):
+                noisy = _AddNoise(builder, port, f"{name}_{part}", noise, period)
+                hold = builder.AddNamedSystem(f"{name}_{part}", ZeroOrderHold(period, 3))
+                builder.Connect(noisy, hold.get_input_port())
+                self._holds.append((hold, entries))
+                held.append(hold.get_output_port())
             whole = builder.AddNamedSystem(name, Concatenation([3, 3, 3, 3]))
-            for index, port in enumerate((estimate[0], angles, estimate[1], turning)):
+            for index, port in enumerate((estimate[0], held[0], estimate[1], held[1])):
                 builder.Connect(port, whole.get_input_port(index))
             builder.ExportOutput(whole.get_output_port(), name)
         builder.ExportOutput(
@@ -212,21 +211,6 @@ class MotionCapture(Diagram):
         builder.Connect(noisy, estimator.GetInputPort("measured_position"))
         builder.ExportInput(estimator.GetInputPort("acceleration"), "acceleration")
         return estimator
-
-    def _AddHold(
-        self,
-        builder: DiagramBuilder,
-        port: OutputPort,
-        name: str,
-        period: float,
-        noise: float,
-        entries: slice,
-    ) -> OutputPort:
-        noisy = _AddNoise(builder, port, name, noise, period)
-        hold = builder.AddNamedSystem(name, ZeroOrderHold(period, 3))
-        builder.Connect(noisy, hold.get_input_port())
-        self._holds.append((hold, entries))
-        return hold.get_output_port()
 
 
 def AddMotionCapture(
