@@ -64,6 +64,12 @@ def rings():
 
 
 @pytest.fixture(scope="session")
+def flight_result(flight_field):
+    """What stands in for a training on the two circles, which is not repeated."""
+    return SimpleNamespace(field=flight_field)
+
+
+@pytest.fixture(scope="session")
 def half_circle():
     """An open true path of 4 m radius, from (-4, 0) over (0, 4) to (4, 0)."""
     angle = np.linspace(np.pi, 0, 2_001)
