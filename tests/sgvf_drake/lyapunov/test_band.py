@@ -17,6 +17,7 @@ from sgvf_drake.lyapunov import (
     to_level_set,
 )
 from sgvf_drake.lyapunov.band import LEVEL_MARGIN, MIN_DECREASE, critical_levels
+from sgvf_drake.paths import Piece, ReferencePath
 
 GAIN, SIGMA = 0.2, 0.1
 GRID = 121
@@ -83,6 +84,12 @@ def test_the_search_takes_the_thin_tube_among_large_bands(found, samples):
     largest = max(band.area for band in bands)
     large = [band for band in bands if band.area >= 0.95 * largest]
     assert chosen.tube.half_width == min(band.tube.half_width for band in large)
+
+
+def test_a_tube_far_from_the_path_is_none(ring, samples):
+    angle = 2 * np.pi * np.arange(60) / 60
+    far = 0.2 * np.column_stack([np.cos(angle), np.sin(angle)]) + [40.0, 0.0]
+    assert band_of(ring[0], ReferencePath((Piece(far, closed=True),)), samples) is None
 
 
 def test_a_tube_has_to_cross_the_saddles_between_waypoints(ring_field):
