@@ -326,7 +326,7 @@ def test_a_small_run_tells_order_from_disorder(outcome):
 def test_what_cannot_differ_is_run_once(outcome):
     _, bench = outcome
     # Of eight cells: one fit for all, one curve in order, and two out of order.
-    assert len(list(bench.store.rglob(TRAJECTORIES))) == 1 + 1 + 2
+    assert len(list(bench.store.folder.rglob(TRAJECTORIES))) == 1 + 1 + 2
 
 
 def test_tables_and_figure(outcome):
