@@ -55,9 +55,9 @@ def run(*arguments):
 
 @pytest.mark.full
 def test_what_was_trained_elsewhere_is_certified(tmp_path):
-    score, tangent = perceptron(3, 32, 32, 2), perceptron(2, 16, 16, 2)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
+        score, tangent = perceptron(3, 32, 32, 2), perceptron(2, 16, 16, 2)
         fit(score, denoising, 700)
         fit(tangent, along, 300)
     files = {"--score": tmp_path / "score.pth", "--tangent": tmp_path / "tangent.pth"}
