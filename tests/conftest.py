@@ -176,6 +176,7 @@ class FakeExperiment:
     exhibit: str = "squares"
     verdict: str = "holds"
     statement: str = "Squares grow."
+    of_paper: bool = True
     error: str = ""
 
     def run(self, bench):
@@ -193,7 +194,8 @@ class FakeExperiment:
         table = pd.DataFrame([record.row for record in records])
         figure = Figure(figsize=(4, 3))
         figure.subplots().plot(table["square"])
-        claim = Finding("grow", "Section IX", self.statement, Verdict(self.verdict), "They do.")
+        told = self.statement, Verdict(self.verdict), "They do.", self.of_paper
+        claim = Finding("grow", "Section IX", *told)
         return Outcome(
             [
                 Exhibit(self.exhibit, "How squares grow.", figure),

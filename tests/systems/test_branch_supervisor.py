@@ -106,8 +106,14 @@ def test_landing_begins_with_the_climb_rate_that_is_commanded():
 def test_speed_moves_as_the_thrust_allows(velocity, rate):
     system = BranchSupervisor(ONE_RING, RINGS[:1])
     state = moving([0.0, velocity, 0.0])
-    memory = see(*at_rest(system, state=state, speed=np.array([12.0])))
+    system, context = at_rest(system, state=state, speed=np.array([12.0]))
+    memory = see(system, context)
     assert memory.scale_rate == pytest.approx(rate, rel=1e-9)
+    # The feed-forward is the rate of the scaled command, by the product rule.
+    v, a = INPUTS["velocity_command"][:2], INPUTS["acceleration_feedforward"][:2]
+    output = commands(system, context)
+    np.testing.assert_allclose(output[:2], memory.scale * v)
+    np.testing.assert_allclose(output[3:5], memory.scale * a + memory.scale_rate * v)
 
 
 @pytest.mark.parametrize(("branch", "start"), [(0, 2.0), (1, 1.0)])

@@ -235,6 +235,23 @@ def test_hover_needs_the_weight_and_no_torque():
     assert LimitThrust(PARAMETERS.weight, MAX_THRUST, (3.0, -2.0, 5.0)) == (3.0, -2.0, 5.0)
 
 
+def test_desired_rates_are_the_derivatives_of_the_desired_attitude():
+    # A thrust vector that turns fast and changes its length.
+    F, F_dot, F_ddot = np.array([[1.5, -1.0, 4.0], [3.0, 2.0, -5.0], [-4.0, 6.0, 5.0]])
+
+    def attitude(t):
+        moved = (F + t * F_dot + 0.5 * t**2 * F_ddot, F_dot + t * F_ddot, F_ddot)
+        R, w, alpha = CalcDesiredAttitude(*map(tuple, moved), 0.7, False)
+        return np.array(R).T, np.array(w), np.array(alpha)
+
+    h = 1e-5
+    (before, w_before, _), (R, w, alpha), (after, w_after, _) = map(attitude, (-h, 0.0, h))
+    np.testing.assert_allclose((after - before) / (2 * h), hat(w) @ R, atol=1e-8)
+    # The part along D's z axis is left out, and said so.
+    w_dot = (w_after - w_before) / (2 * h)
+    np.testing.assert_allclose(np.cross(R[:, 2], alpha), np.cross(R[:, 2], w_dot), atol=1e-8)
+
+
 def test_desired_rates_are_limited():
     F, fast, faster = (0.0, 0.0, 4.5), (900.0, 0.0, 0.0), (0.0, 9e5, 0.0)
     _, w, alpha = CalcDesiredAttitude(F, fast, faster, 0.0)

@@ -160,6 +160,7 @@ def test_a_stronger_claim_is_told(ring):
         assert not own.is_as_strong_as(claimed)
         assert claimed.is_as_strong_as(own)
     assert not own.is_as_strong_as(replace(own, e_star=(*own.e_star, 0.9)))
+    assert not replace(own, certified=False).is_as_strong_as(own)
     # A check proves everything anew, and refuses what is not so.
     found = check(replace(own, alpha=2 * own.alpha), field, path)
     assert not found.certified

@@ -59,6 +59,13 @@ def test_what_is_proved_of_a_band_is_so(trained):
     assert (V_dot <= facts[:, RATE] + rounding)[in_band].all()
     speed_inward = -V_dot / np.linalg.norm(gradient, axis=1)
     assert (speed_inward >= facts[:, MARGIN] - rounding)[in_band].all()
+    # No square is decided by less than alpha, and than the share of V_dot at its centre.
+    centers = found.boxes.centers[known]
+    at_centers = function.derivative(centers, normalised(field, centers))
+    wanted = -np.maximum(0.05, 0.5 * np.abs(at_centers))
+    assert (found.facts[known][:, RATE] <= wanted + 1e-6).all()
+    too_fast = Decrease(field, levels, *band, alpha=1e4, share=0.0)
+    assert not too_fast.prove(START, SMALLEST).proved
     # Every point of the band is in a square.
     x = np.random.default_rng(1).uniform(-5, 5, (20_000, 2))
     x = x[(function(x) >= band[0]) & (function(x) <= band[1])][:500]

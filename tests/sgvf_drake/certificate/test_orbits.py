@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from sgvf_drake.certificate.boxes import Boxes
+from sgvf_drake.certificate.boxes import Boxes, Division
 from sgvf_drake.certificate.field_model import dual_field
 from sgvf_drake.certificate.mixture_model import MixtureModel
 from sgvf_drake.certificate.orbit_search import propose_annuli
@@ -95,6 +95,20 @@ def test_a_ring_of_a_trained_field_has_one_orbit_with_a_lap_in_the_bounds(tube, 
     assert len(laps) >= 3
     assert low <= laps.min()
     assert laps.max() <= high
+
+
+def test_the_lap_time_is_bounded_by_squares_wider_than_a_sector():
+    # At the angular speed 1 + cos(angle) / 2 a lap takes 2 pi / sqrt(1 - 1/4).
+    angle, width = 2 * np.pi * np.arange(200) / 200, 0.03
+    centers = 4 * np.column_stack([np.cos(angle), np.sin(angle)])
+    # At most and at least over the angles of a square, which has a half-side of 0.06.
+    around = angle[:, None] + np.linspace(-width, width, 61)
+    speeds = 1 + np.cos(around) / 2
+    facts = np.column_stack([speeds.min(axis=1), speeds.max(axis=1)])
+    boxes = Boxes(centers, np.full(200, 0.06))
+    found = Division(boxes, facts, 200, None, boxes[:0])
+    low, high = Turning(None, np.zeros(2), 1).lap_time(found)
+    assert low < 2 * np.pi / np.sqrt(0.75) < high < 1.1 * low
 
 
 def test_a_lap_the_other_way_is_refused(tube, annulus):

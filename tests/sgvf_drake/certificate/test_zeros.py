@@ -206,6 +206,13 @@ def test_enclosures_of_one_zero_are_told_from_those_of_two():
     assert count((0.1, 0.0), (0.3, 0.0), 0.12) == (1, 1)
 
 
+def test_what_may_be_one_zero_or_two_leaves_the_list_open(linear, monkeypatch):
+    name = "sgvf_drake.certificate.zeros._distinct"
+    monkeypatch.setattr(name, lambda found: (_distinct(found)[0], 1))
+    found = enclose_zeros(linear(TURN), "tangent")
+    assert (len(found.zeros), found.undecided, found.complete) == (1, 1, False)
+
+
 def test_what_nothing_bounds_is_refused(make_field):
     robust = make_field("robust")
     kinked = replace(

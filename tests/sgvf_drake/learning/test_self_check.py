@@ -115,6 +115,19 @@ def test_a_reversed_half_fails_and_is_named(cloud):
     assert "piece 2" not in check.message
 
 
+@pytest.mark.parametrize(("length", "splits"), [(0.2, False), (1.0, True)])
+def test_only_a_stretch_of_some_length_is_a_split(cloud, length, splits):
+    def value(x):
+        m, pull = CONCENTRIC(x), around(2.0, 4.0, sign=0)(x)
+        beside = 4 * np.abs(np.arctan2(x[:, 1], -x[:, 0])) < length / 2
+        reverse = (np.linalg.norm(x, axis=1) > 3) & beside
+        return np.where(reverse[:, None], 2 * pull - m, m)
+
+    outer, inner = check_field(Stand(cloud, value)).pieces
+    assert ("split" in kinds(outer)) == splits
+    assert inner.faults == ()
+
+
 def test_a_stall_fails_and_is_named(cloud):
     """One waypoint of the inner circle holds whoever comes."""
     trap = np.array([-2.0, 0.0])

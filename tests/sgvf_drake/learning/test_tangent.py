@@ -112,13 +112,18 @@ def test_algorithm_2_has_the_papers_three_terms():
     assert list(terms) == ["unit", "orthogonality", "direction"]
     assert all(term.requires_grad for term in terms.values())
 
+    seen = []
+
     def turned(x):
+        seen.append(x)
         return torch.stack([x[:, 1], -x[:, 0]], dim=1)
 
     # For v = -s turned by a right angle only the length is left to improve.
     terms = paper_tangent_loss(turned, lambda x: x, points, SCHEDULE, 0.2, 64, ONES)()
     assert terms["orthogonality"] < 1e-12
-    assert terms["unit"] > 0.01
+    r = seen[-1][:64].norm(dim=1)
+    expected = (torch.hypot(torch.tanh(0.2 * r), r) - 1).square().mean()
+    assert terms["unit"].item() == pytest.approx(expected.item(), rel=1e-5)
 
 
 def test_waypoints_without_a_hint_are_left_out():

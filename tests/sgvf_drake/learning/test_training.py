@@ -19,6 +19,7 @@ from sgvf_drake.fields import (
 )
 from sgvf_drake.fields.vectors import cosine
 from sgvf_drake.learning import SelfCheck, TrainingConfig, train, training
+from sgvf_drake.learning.optimization import Optimization
 from sgvf_drake.learning.self_check import Fault, PieceCheck
 from sgvf_drake.paths import PointCloud, make_shape
 
@@ -43,6 +44,13 @@ def two_threads():
     torch.set_num_threads(2)
     yield
     torch.set_num_threads(threads)
+
+
+def test_the_learning_rate_warms_up_and_falls_along_half_a_cosine_to_zero():
+    cosine_ = Optimization(iterations=1000, learning_rate=1.0, warmup=50, cosine=True)
+    for step, expected in ((0, 1 / 50), (24, 1 / 2), (50, 1), (525, 1 / 2), (1000, 0)):
+        assert cosine_.factor(step) == pytest.approx(expected, abs=1e-12)
+    assert Optimization(iterations=10, learning_rate=1.0).factor(7) == 1
 
 
 def short(iterations=12, **overrides):

@@ -142,6 +142,10 @@ def test_the_gradient_bound_is_missed_by_the_error_of_the_direction():
     # |s| (1 - cos(s, S)).
     np.testing.assert_allclose(gradient.excess, [0.0, 0.2, 0.5], atol=1e-12)
     assert gradient.summary()["nearly_holds_fraction"] == pytest.approx(1 / 3)
+    # With v beside S its eps is |cos(S, v)| = 0.6, where |cos(s, v)| is 0, 1 and 0.8.
+    s, v = np.array([[0.4, -0.3], [0.3, 0.4], [0.0, 0.5]]), np.array([[0.6, 0.8]] * 3)
+    gradient = robustness_bounds(Slope(S), samples_of(s, v))[2]
+    np.testing.assert_allclose(gradient.excess, -(s[:, 0] + 0.6) + 0.5 - 0.6, atol=1e-12)
 
 
 def test_a_bound_promises_a_decrease_where_the_score_outweighs_the_error():

@@ -119,6 +119,17 @@ def test_every_mode_is_found_once(seed, sigma):
     assert between.min(initial=1.0) > 1e-3 * sigma
 
 
+def test_a_waypoint_on_a_saddle_is_no_mode():
+    # Between two that count twice: by symmetry no search leaves it.
+    x = np.array([-1.0, -1.0, 0.0, 1.0, 1.0])
+    mixture = GaussianMixture(np.column_stack([x, np.zeros(5)]), 0.5)
+    bends = np.linalg.eigvalsh(mixture.score_and_jacobian(np.zeros((1, 2)))[1][0])
+    assert bends[0] < 0 < bends[1]
+    modes = find_modes(mixture)
+    np.testing.assert_allclose(np.sort(modes[:, 0]), [-modes[:, 0].max(), modes[:, 0].max()])
+    assert np.abs(modes[:, 0]).min() > 0.5
+
+
 def test_one_waypoint_many_times_is_one_mode():
     mixture = GaussianMixture(np.tile([[1.0, 2.0]], (5, 1)), 0.2)
     np.testing.assert_allclose(find_modes(mixture), [[1.0, 2.0]])

@@ -1,10 +1,12 @@
 """Claims: figures, how they are told, and the verdicts that follow from them."""
 
 import math
+from types import SimpleNamespace
 
 import pandas as pd
 import pytest
 
+from sgvf_drake.paper import findings
 from sgvf_drake.paper.claims import (
     Claim,
     Count,
@@ -16,6 +18,7 @@ from sgvf_drake.paper.claims import (
     every_of_all,
     judge,
 )
+from sgvf_drake.paper.experiment import Exhibit, save_rows
 
 HOLDS, PARTLY, FAILS = Verdict.HOLDS, Verdict.PARTLY, Verdict.FAILS
 
@@ -83,3 +86,31 @@ def test_a_claim_is_judged_by_its_figures_and_tells_them():
     assert finding.verdict is PARTLY
     assert finding.evidence == "larger: 2 of 3; largest: 1.23e+03; part: 50%."
     assert (finding.key, finding.source, finding.of_paper) == ("grow", "Section IX", False)
+
+
+def test_the_page_of_findings_judges_stored_rows_and_tells_ours_apart(tmp_path, monkeypatch):
+    def claim(statement, largest, of_paper):
+        return Claim(
+            *("grow", "Section IX", statement),
+            lambda rows: {"largest": int(rows["squares"]["square"].max())},
+            lambda found: Verdict.when(found["largest"] > largest),
+            of_paper,
+        )
+
+    claims = claim("Theirs grow.", 3, True), claim("Ours grow.", 4, False)
+    kind = SimpleNamespace(
+        findings=lambda rows: [judge(one, rows) for one in claims],
+        tables=lambda rows: [Exhibit("squares", "How they grow.", rows["squares"])],
+    )
+    scenario = SimpleNamespace(title="Squares", source="Fig. 9", experiment=kind)
+    monkeypatch.setattr(findings, "scenario_names", lambda: ["alpha", "not run"])
+    monkeypatch.setattr(findings, "load_scenario", lambda name: scenario)
+    squares = pd.DataFrame({"a|b": ["x", "y"], "square": [1, 4]})
+    save_rows({"squares": squares}, tmp_path / "alpha.json")
+    theirs, ours, tables = findings.findings_page(tmp_path).split("\n## ")[1:]
+    assert "Of 1: 1 holds, 0 holds in part, 0 does not hold." in theirs
+    assert "| Theirs grow | Section IX | holds | largest: 4 |" in theirs
+    assert "Of 1: 0 holds, 0 holds in part, 1 does not hold." in ours
+    assert "| Ours grow | Section IX | does not hold | largest: 4 |" in ours
+    assert tables.startswith("Squares (Fig. 9)\n\nHow they grow.\n\n| a\\|b | square |")
+    assert tables.endswith("| x | 1 |\n| y | 4 |\n")

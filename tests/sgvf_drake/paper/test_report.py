@@ -296,6 +296,12 @@ def test_every_verdict_is_on_the_page(page_of):
     }
 
 
+def test_claims_of_ours_are_shown_and_not_counted(page_of):
+    page = page_of(alpha={}, beta={"of_paper": False, "verdict": "does not hold"})
+    assert re.search(r"Of 1 claim put to the test in \d scenarios?, 1 holds\.", page.text)
+    assert page.text.count("Squares grow. ours") == 1
+
+
 def test_links_lead_to_places_on_the_page(page_of):
     page = page_of("alpha", alpha={}, beta={})
     places = [attributes["id"] for _, attributes in page.elements if "id" in attributes]

@@ -130,7 +130,9 @@ def test_a_changed_scenario_is_out_of_date_until_it_is_run(three, tmp_path):
     assert statuses(summary) == {"alpha": "outdated", "beta": "done", "gamma": "done"}
     assert summary["complete"] is False
     assert len(summary["claims"]) == 3
-    assert "Out of date." in (tmp_path / REPORT).read_text()
+    page = (tmp_path / REPORT).read_text()
+    assert "Out of date." in page
+    assert 'id="alpha.grow"' in page, "what was found before is shown yet"
     assert (tmp_path / "alpha" / "squares.png").exists()
     assert run_reproduce(tmp_path)["complete"] is True
     assert (tmp_path / "alpha" / "cubes.png").exists()

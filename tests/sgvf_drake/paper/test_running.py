@@ -13,7 +13,7 @@ from sgvf_drake.paper.running import is_result_of, stored_summary
 
 FILES = {
     *("summary.json", "scenario.yaml", "squares.png", "squares_table.csv", "log.parquet"),
-    "trials",
+    *("rows.json", "trials"),
 }
 KEYS = {
     *("title", "source", "kind", "options", "seeds", "version", "code", "exhibits", "logs"),

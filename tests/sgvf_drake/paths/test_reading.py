@@ -1,6 +1,5 @@
 """Waypoints from files: every dialect, and one error that names file, line and value."""
 
-
 import numpy as np
 import pytest
 
@@ -117,6 +116,9 @@ def test_columns_by_name_and_number(write):
         np.testing.assert_array_equal(read_points(path, columns), expected)
     # Three columns without names are all taken.
     np.testing.assert_array_equal(read_points(write("1 2 3\n4 5 6\n")), [[1, 2, 3], [4, 5, 6]])
+    # Beside a semicolon a comma is a part of a field.
+    path = write("1;2;start, slow\n3;4;\n")
+    np.testing.assert_array_equal(read_points(path, "0,1"), [[1, 2], [3, 4]])
 
 
 def test_velocities_are_read_beside_their_coordinates(write):

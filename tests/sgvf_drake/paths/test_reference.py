@@ -140,6 +140,12 @@ def test_the_tree_of_a_cloud_as_a_reference():
     assert not tree.opened_at(ends[:1], cloud.unit_length).closed[0]
     assert tree.opened_at(-ends[:1], cloud.unit_length).closed[0]
     assert tree.opened_at(np.empty((0, 2)), cloud.unit_length).closed[0]
+    # How near is told in U, whatever the unit of the waypoints.
+    beside = 1.1 * ends[:1]
+    for scale in (0.1, 1.0, 10.0):
+        scaled = tree_reference(PointCloud(scale * cloud.points))
+        assert not scaled.opened_at(scale * beside, scale * cloud.unit_length).closed[0]
+        assert scaled.opened_at(scale * 2 * ends[:1], scale * cloud.unit_length).closed[0]
 
 
 def test_side_branches_and_isolated_waypoints_belong_to_the_tree():
