@@ -6,12 +6,15 @@ an assignment without a docstring, and the second is text.
 """
 
 import ast
+import re
 from typing import Any
 
 import griffe
 import yaml
 
 DIRECTIVE = ".. pydrake_system::"
+# One that is meant; not those before the name of an argument that is described.
+ASTERISK = re.compile(r"\*(?!\*?\w+:)")
 
 
 class DrakeDocstrings(griffe.Extension):
@@ -34,7 +37,7 @@ class DrakeDocstrings(griffe.Extension):
         if obj.docstring is not None:
             text = _with_port_table(obj.docstring.value)
             obj.docstring.value = "`".join(
-                part.replace("*", "\\*") if number % 2 == 0 else part
+                ASTERISK.sub(r"\\*", part) if number % 2 == 0 else part
                 for number, part in enumerate(text.split("`"))
             )
 
