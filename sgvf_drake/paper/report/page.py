@@ -105,7 +105,7 @@ def _sentence(summary: Mapping[str, Any]) -> str:
         for verdict, (one, many) in WORDS.items()
         if counts[verdict]
     ]
-    tested = len({claim["scenario"] for claim in summary["claims"]})
+    tested = len({claim["scenario"] for claim in summary["claims"] if claim["of_paper"]})
     last = f" and {parts.pop()}" if len(parts) > 1 else ""
     return (
         f"Of {total} claim{'' if total == 1 else 's'} put to the test in {tested} "

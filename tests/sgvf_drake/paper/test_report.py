@@ -298,7 +298,7 @@ def test_every_verdict_is_on_the_page(page_of):
 
 def test_claims_of_ours_are_shown_and_not_counted(page_of):
     page = page_of(alpha={}, beta={"of_paper": False, "verdict": "does not hold"})
-    assert re.search(r"Of 1 claim put to the test in \d scenarios?, 1 holds\.", page.text)
+    assert "Of 1 claim put to the test in 1 scenario, 1 holds." in page.text
     assert page.text.count("Squares grow. ours") == 1
 
 
