@@ -127,7 +127,9 @@ class TrialStore:
         """Gives the file of rows to this process alone, until it is done or fails."""
         file = self.folder / ROWS
         try:
-            with closing(sqlite3.connect(file, PATIENCE_S, isolation_level=None)) as database:
+            with closing(
+                sqlite3.connect(file, timeout=PATIENCE_S, isolation_level=None)
+            ) as database:
                 # At once: who asks for it only when it writes may be refused without waiting.
                 database.execute("BEGIN IMMEDIATE")
                 database.execute(_TABLE)

@@ -68,6 +68,15 @@ class Counted:
             raise AttributeError("what is compiled cannot be counted")
         return getattr(self._wrapped, name)
 
+    # Here, since `isinstance` asks no `__getattr__` for what a protocol names.
+    @property
+    def dim(self) -> int:
+        return self._wrapped.dim
+
+    @property
+    def approach_length(self) -> float:
+        return self._wrapped.approach_length
+
     @property
     def calls(self) -> int:
         return self._counts[0]
@@ -82,6 +91,9 @@ class Counted:
     def value_and_jacobian(self, x: np.ndarray) -> Any:
         self._counts[0] += 1
         return self._wrapped.value_and_jacobian(x)
+
+    def hessian(self, x: np.ndarray) -> Any:
+        return self._wrapped.hessian(x)
 
 
 class CountedVehicle(QuadrotorParameters):
