@@ -54,9 +54,9 @@ class Motion(NamedTuple):
     """Where something is and how it moves, (d,) each, or (n, d) for n of them.
 
     Attributes:
-        position: In m.
-        velocity: In m/s.
-        acceleration: In m/s^2.
+        position: The position in m.
+        velocity: The velocity in m/s.
+        acceleration: The acceleration in m/s^2.
     """
 
     position: FloatArray
@@ -68,8 +68,8 @@ class Transfer(NamedTuple):
     """A motion from one point to another.
 
     Attributes:
-        control_points: Of shape (6, d), in m.
-        duration: In s.
+        control_points: The control points, (6, d) in m.
+        duration: The duration in s.
         cost: What was minimised, in s; at least the duration.
         violation: By how much it breaks the limits that it was planned for, relative to
             them; 0 if it keeps all of them.

@@ -148,7 +148,7 @@ def SetHover(diagram: Diagram, context: Context, position: ArrayLike) -> None:
 
     Args:
         diagram: From `MakeFlightDiagram`, or any with systems "plant" and "motion_capture".
-        context: Of the diagram.
+        context: The Context of the diagram.
         position: p_WB of shape (3,) in m.
 
     Raises:
@@ -166,8 +166,8 @@ def SetVehicleState(diagram: Diagram, context: Context, state: ArrayLike) -> Non
 
     Args:
         diagram: From `MakeFlightDiagram`, or any with systems "plant" and "motion_capture".
-        context: Of the diagram.
-        state: Of shape (12,), as QuadrotorPlant's.
+        context: The Context of the diagram.
+        state: The state (12,), as QuadrotorPlant's.
 
     Raises:
         ConfigurationError: if the shape is wrong, or the diagram is a converted or cloned one
@@ -195,7 +195,7 @@ def SetNoiseSeed(diagram: Diagram, context: Context, seed: int) -> None:
 
     Args:
         diagram: From `MakeFlightDiagram`, or any with a system "motion_capture".
-        context: Of the diagram.
+        context: The Context of the diagram.
         seed: Not negative.
 
     Raises:

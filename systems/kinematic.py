@@ -171,7 +171,7 @@ def SetPositions(diagram: Diagram, context: Context, positions: ArrayLike) -> No
 
     Args:
         diagram: From `MakeKinematicDiagram`.
-        context: Of the diagram.
+        context: The Context of the diagram.
         positions: Of shape (n, d), or (d,) for one agent, in the field's unit of length.
 
     Raises:

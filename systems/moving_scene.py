@@ -140,7 +140,7 @@ def AddQuadrotorGeometry(
         state_port: The vehicle's state (12), as QuadrotorPlant's.
         scene_graph: Is changed.
         parameters: The vehicle, whose arm length sets the size.
-        name: Of the frame and of the system "<name>_geometry".
+        name: Name of the frame and of the system "<name>_geometry".
         scale: Times which the vehicle is drawn larger than it is.
 
     Returns:

@@ -53,7 +53,7 @@ class QuadrotorParameters:
         force_constant: kF, newtons per unit of input; 1 makes the inputs newtons.
         moment_constant: kM, newton metres of yaw torque per unit of input; with kF = 1
             it is a length in m.
-        gravity: In m/s^2.
+        gravity: The acceleration of gravity, m/s^2.
 
     Raises:
         ConfigurationError: if a value is not finite and positive, if the vehicle cannot

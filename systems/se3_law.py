@@ -95,12 +95,12 @@ def CalcPropellerInput(
 
     Args:
         state: The vehicle's, (12,).
-        velocity_command: In W, (3,) in m/s.
+        velocity_command: The velocity command in W, (3,) in m/s.
         acceleration: The feed-forward in W, (3,) in m/s^2.
         gains: The `Gains`, (4,).
         body: The `Body`, (4,).
         rotors: Where the propellers stand, and what they can give.
-        gravity: In m/s^2.
+        gravity: The acceleration of gravity, m/s^2.
         saturate: Whether demands and forces are limited to what the vehicle can give.
     """
     thrust, torque = CalcThrustAndTorque(

@@ -160,7 +160,7 @@ class MotionCapture(Diagram):
 
         Args:
             context: This system's own.
-            state: Of shape (12,), as QuadrotorPlant's.
+            state: The state (12,), as QuadrotorPlant's.
         """
         for hold, entries in self._holds:
             hold.SetVectorState(self.GetMutableSubsystemContext(hold, context), state[entries])
@@ -257,7 +257,7 @@ def Dropout_(T: type) -> Any:  # noqa: D103 (the class below says it)
         entries.  It belongs before what samples: its output depends on the time.
 
         Args:
-            size: Of the vector.
+            size: The size of the vector.
             intervals: When entries are lost: pairs of begin and end in s, the end excluded.
             entries: Which entries are lost: their indices.
 
@@ -318,7 +318,7 @@ def Concatenation_(T: type) -> Any:  # noqa: D103 (the class below says it)
         where the inputs are held between samples.
 
         Args:
-            sizes: Of the inputs.
+            sizes: The sizes of the inputs.
         """
 
         @remembered

@@ -137,7 +137,7 @@ class _Orbit:
     """What is proved of the closed orbit of a piece.
 
     Attributes:
-        result: In words and numbers.
+        result: What was found, in words and numbers.
         annulus: A ring that holds it; None: none is known.
         boxes: Over how many squares the field was bounded.
     """

@@ -39,7 +39,7 @@ class Cover:
     Attributes:
         inside: (k, k) whether each square belongs to it.
         lower: (2,) the corner of the raster.
-        side: Of its squares.
+        side: The side of its squares.
         highest: What V is at most on them.
     """
 
@@ -58,7 +58,7 @@ class Shape:
     """What is known of the sublevel sets of a band.
 
     Attributes:
-        holes: Of each component, in the order of `labels`.
+        holes: The number of holes of each component, in the order of `labels`.
         labels: (k, k) the components by their numbers, from 1, on the outer cover's raster;
             0 outside.
         cover: The outer cover.
@@ -97,7 +97,7 @@ def cover(levels: MixtureModel, level: float, half: float) -> Cover:
     Args:
         levels: V.
         level: c.
-        half: Of the squares; a power of two.
+        half: Half the side of the squares; a power of two.
     """
     boxes = levels.squares_below(level, Boxes.square(HALF_WIDTH), half)
     count = round(HALF_WIDTH / half)
@@ -116,7 +116,7 @@ def shape_of_band(levels: MixtureModel, c_in: float, c_out: float, half: float) 
         levels: V.
         c_in: The lowest level.
         c_out: The highest; V has no critical value from one to the other.
-        half: Of the squares of the covers; a power of two.
+        half: Half the side of the squares of the covers; a power of two.
 
     Returns:
         None where the squares are too large for the band.

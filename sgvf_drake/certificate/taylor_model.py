@@ -234,8 +234,8 @@ class DualModel:
     It has the operations of a `TaylorModel` that a composition asks for.
 
     Attributes:
-        value: Of the functions.
-        slopes: Of their derivatives by each coordinate.
+        value: The values of the functions.
+        slopes: Their derivatives by each coordinate.
     """
 
     value: TaylorModel

@@ -343,7 +343,7 @@ def flight_log(diagram: Diagram, context: Context) -> pd.DataFrame:
 
     Args:
         diagram: From `systems.MakeFlightDiagram`, with logs.
-        context: Of the diagram.
+        context: The Context of the diagram.
     """
     times, _ = read_log(diagram, context, "state_log")
     tables = [pd.DataFrame({"time": times})]

@@ -92,7 +92,7 @@ def velocity_error(
     """Returns |v_WB - speed m(p_WB)| over the dimensions of a field, (T,) as a part of speed.
 
     Args:
-        log: Of a flight, in metres.
+        log: The log of a flight, in metres.
         field: m, in a unit of `scale` metres.
         speed: Commanded speed, m/s.
         scale: Metres in one unit of the field.

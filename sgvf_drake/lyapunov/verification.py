@@ -46,7 +46,7 @@ class Violation:
         point: Where, or where it is worst, (d,).
         value: |m| there, e*, or V_dot.
         V: V there.
-        area: Of the region, in the unit of length squared; 0 for a point.
+        area: The area of the region, in the unit of length squared; 0 for a point.
         counts: Whether it is inside {V <= c_out}, or near the path where there is no band:
             then path following fails.  Elsewhere it says where nothing is claimed.
         detail: The kind of a zero.

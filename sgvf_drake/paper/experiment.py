@@ -44,7 +44,7 @@ class Outcome:
     """What an experiment found.
 
     Attributes:
-        exhibits: In the order in which they are read.
+        exhibits: Figures and tables, in the order in which they are read.
         claims: One for each thing the paper says that was put to the test.
         figures: Further numbers by name, for `summary.json`.
         logs: Long tables by name, that are stored as Parquet and not shown.

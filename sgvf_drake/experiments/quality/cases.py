@@ -35,8 +35,8 @@ class Case:
         name: The group of cases it belongs to.
         cloud: Path of the cloud, one of `clouds.PATHS`; with a source, a name for it.
         sampling: One of `clouds.SAMPLINGS`.
-        recipe: Of the training.
-        seed: Of the cloud and of the training.
+        recipe: The recipe of the training.
+        seed: Seed of the cloud and of the training.
         starts: Number of starts on a grid over the box.
         overrides: Names and values of a `TrainingConfig`, beside recipe and seed.
         source: A file with the ordered path.

@@ -189,7 +189,7 @@ class FourierCurve(Curve):
         with the least squares of the distances to them.
 
         Args:
-            wavelength: In the unit of w.
+            wavelength: A length, in the unit of w.
 
         Raises:
             ConfigurationError: The length is not a positive number.
