@@ -3,12 +3,13 @@
 from pathlib import Path
 import re
 import shlex
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import typer
 
-from sgvf_drake import cli, load_field, make_shape
+from sgvf_drake import cli, learning, load_field
 
 ROOT = Path(__file__).parents[1]
 COMMANDS = {
@@ -32,15 +33,27 @@ def own_lines(code):
     return [line for line in code.splitlines() if line.strip() and line.strip()[0] != "#"]
 
 
-@pytest.fixture(scope="module")
-def executed(tmp_path_factory):
-    """The namespaces of the Python blocks, run one after the other in one fresh folder."""
+@pytest.fixture(scope="module", params=[False, pytest.param(True, marks=pytest.mark.full)])
+def executed(request, tmp_path_factory, flight_field):
+    """The namespaces of the Python blocks, run one after the other in one fresh folder.
+
+    The training is one in earnest, or else what it makes of the waypoints is a stored field.
+    """
     folder = tmp_path_factory.mktemp("readme")
-    cloud, _ = make_shape("concentric-flight", seed=5)
-    np.savetxt(folder / "waypoints.csv", cloud.points, delimiter=",", header="x,y", comments="")
+    points = flight_field.cloud.points
+    np.savetxt(folder / "waypoints.csv", points, delimiter=",", header="x,y", comments="")
+
+    def stored(cloud, config):
+        assert cloud.digest == flight_field.cloud.digest
+        assert config == learning.TrainingConfig(seed=0)
+        check = learning.check_field(flight_field)
+        return SimpleNamespace(field=flight_field, self_check=check)
+
     namespaces = []
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
+        if not request.param:
+            patch.setattr(learning, "train", stored)
         for number, code in enumerate(blocks("python")):
             namespace = {"__name__": f"readme_{number}"}
             if number == 1:

@@ -26,6 +26,7 @@ from rotorpy.environments import Environment
 from rotorpy.trajectories.circular_traj import ThreeDCircularTraj
 from rotorpy.vehicles.multirotor import Multirotor
 from scipy.spatial.transform import Rotation
+from tests.benchmarks.circle import Circle
 
 import sgvf_drake as sgvf
 from systems import (
@@ -35,7 +36,6 @@ from systems import (
     QuadrotorParameters,
     SetHover,
 )
-from tests.benchmarks.circle import Circle
 
 pytestmark = pytest.mark.benchmark
 

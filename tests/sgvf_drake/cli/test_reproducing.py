@@ -1,8 +1,8 @@
 """The command reproduce: what it prints, and its exit status."""
 
-import json
-
 import pytest
+
+from tests.helpers import summary_of
 
 
 @pytest.fixture
@@ -34,7 +34,7 @@ def test_everything_is_run_whatever_the_verdicts(run, two, tmp_path, capsys):
     assert max(map(len, printed.out.splitlines()[:-1])) <= 80
     assert printed.err == ""
     assert (out / "report.html").stat().st_size > 1_000
-    assert json.loads((out / "summary.json").read_text())["quick"] is True
+    assert summary_of(out)["quick"] is True
 
 
 def test_a_part_is_run(run, two, tmp_path, capsys):

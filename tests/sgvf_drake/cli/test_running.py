@@ -1,14 +1,9 @@
 """The commands run and scenarios: what they print and leave, and their exit status."""
 
-import json
-
 import pytest
 
 from sgvf_drake.paper import load_scenario, scenario_names
-
-
-def summary_of(folder):
-    return json.loads((folder / "summary.json").read_text())
+from tests.helpers import summary_of
 
 
 def test_a_scenario_is_run_with_its_options(run, fake_scenarios, tmp_path, capsys):
@@ -70,13 +65,6 @@ def test_bad_input_is_one_line(fake_scenarios, refused, tmp_path, arguments, wor
     arguments = [str(argument).format(folder=tmp_path) for argument in arguments]
     assert words in refused("run", *arguments, "--out", tmp_path / "out")
     assert not (tmp_path / "out").exists()
-
-
-def test_results_are_not_replaced_unasked(fake_scenarios, refused, tmp_path):
-    fake_scenarios.write("alpha")
-    (tmp_path / "summary.json").write_text("mine")
-    assert "already holds summary.json" in refused("run", "alpha", "--out", tmp_path)
-    assert (tmp_path / "summary.json").read_text() == "mine"
 
 
 def test_the_scenarios_of_the_package_are_listed(run, capsys):

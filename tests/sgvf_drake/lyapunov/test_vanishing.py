@@ -120,10 +120,10 @@ def test_the_closed_form_around_a_ring(ring_field):
 
 
 @pytest.fixture(scope="module")
-def measured(robust_field, concentric):
+def measured(robust_field, robust_zeros, concentric):
     """A trained field around two rings, its singularities, and where its score vanishes."""
-    found = find_singularities(robust_field)
-    return robust_field, found, measure_vanishing(robust_field, found, concentric[1])
+    vanishing = measure_vanishing(robust_field, robust_zeros, concentric[1])
+    return robust_field, robust_zeros, vanishing
 
 
 def test_the_claim_on_low_density_is_about_the_medial_axis_at_best(measured, concentric):
