@@ -46,8 +46,6 @@ def stored_field_fixture(name):
 robust_field = stored_field_fixture("robust")
 exact_field = stored_field_fixture("exact")
 paper_field = stored_field_fixture("paper")
-star_field = stored_field_fixture("star")
-square_field = stored_field_fixture("square")
 flight_field = stored_field_fixture("flight")
 open_field = stored_field_fixture("open")
 half_circle_field = stored_field_fixture("half_circle")
@@ -60,33 +58,9 @@ def concentric():
 
 
 @pytest.fixture(scope="session")
-def robust_result(concentric):
-    """The default training of the headline cloud, in about 6 s."""
-    from sgvf_drake.learning import train
-
-    return train(concentric[0])
-
-
-@pytest.fixture(scope="session")
 def open_cloud():
     """Six tenths of a circle of radius 3, from (-2.43, -1.76) around to (3, 0)."""
     return open_circle()
-
-
-@pytest.fixture(scope="session")
-def open_result(open_cloud):
-    """An open path with the closed-form score, in about 4 s."""
-    from sgvf_drake.learning import TrainingConfig, train
-
-    return train(open_cloud, TrainingConfig(recipe="exact"))
-
-
-@pytest.fixture(scope="session")
-def exact_result(concentric):
-    """The same with the closed-form score, in about 3 s."""
-    from sgvf_drake.learning import TrainingConfig, train
-
-    return train(concentric[0], TrainingConfig(recipe="exact"))
 
 
 @dataclass(frozen=True)

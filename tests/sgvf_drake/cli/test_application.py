@@ -23,7 +23,7 @@ FOLLOW_FILES = {"summary.json", "trajectories.parquet", "follow.png"}
         ("certify .", "certificate.json"),
         ("singularities .", "zeros.csv"),
         ("demo", "waypoints.csv"),
-        ("run stein", "summary.json"),
+        ("run baselines", "summary.json"),
         ("reproduce", "report.html"),
     ],
 )

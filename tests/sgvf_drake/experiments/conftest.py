@@ -60,12 +60,6 @@ def rings():
 
 
 @pytest.fixture(scope="session")
-def flight_result(flight_field):
-    """What stands in for a training on the two circles, which is not repeated."""
-    return SimpleNamespace(field=flight_field)
-
-
-@pytest.fixture(scope="session")
 def half_circle():
     """An open true path of 4 m radius, from (-4, 0) over (0, 4) to (4, 0)."""
     angle = np.linspace(np.pi, 0, 2_001)
@@ -74,15 +68,9 @@ def half_circle():
 
 
 @pytest.fixture(scope="session")
-def open_field_of_arc(half_circle_field):
-    """A field along it with its end at (-4, 0): against the rule, and the reference."""
-    return half_circle_field
-
-
-@pytest.fixture(scope="session")
-def flown_to_the_end(open_field_of_arc, half_circle):
-    """A flight along it."""
-    return fly(open_field_of_arc, half_circle, speed=ARC_SPEED)
+def flown_to_the_end(half_circle_field, half_circle):
+    """A flight along it, to the end of the field at (-4, 0), where the reference begins."""
+    return fly(half_circle_field, half_circle, speed=ARC_SPEED)
 
 
 @pytest.fixture(scope="session")
