@@ -55,6 +55,7 @@ def words_of(printed):
 # verify
 
 
+@pytest.mark.usefixtures("coarse_grid")
 def test_a_good_field_is_verified(run, fields, tmp_path, capsys):
     out = tmp_path / "out"
     assert run("verify", fields / "ring.safetensors", "--starts", 16, "--out", out) == 0
@@ -65,6 +66,7 @@ def test_a_good_field_is_verified(run, fields, tmp_path, capsys):
     assert summary_of(out)["holds"] is True
 
 
+@pytest.mark.usefixtures("coarse_grid")
 def test_a_planted_sink_is_named_with_its_place(run, fields, tmp_path, capsys):
     out = tmp_path / "out"
     assert run("verify", fields / "bad.safetensors", "--out", out) == 0

@@ -21,6 +21,9 @@ KEYS = {
 }
 
 
+pytestmark = pytest.mark.usefixtures("coarse_grid")
+
+
 @pytest.fixture(scope="module")
 def circle(ring_field):
     """A field around a circle of 1 m, and the circle."""
@@ -29,7 +32,7 @@ def circle(ring_field):
 
 
 @pytest.fixture(scope="module")
-def flown(tmp_path_factory, circle):
+def flown(tmp_path_factory, circle, coarse_grid):
     """The folder of a verification with a flight."""
     field, path = circle
     out = tmp_path_factory.mktemp("verify") / "flown"

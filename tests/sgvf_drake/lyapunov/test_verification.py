@@ -1,7 +1,6 @@
 """The verdict on good fields, and on fields that are bad on purpose, with the place."""
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -16,16 +15,11 @@ ONE = (1.0,)
 COARSE = {"spacing": 0.25, "sigma": 0.25}
 
 
-@pytest.fixture(scope="module", autouse=True)
-def coarse_grid():
-    """A quarter of the samples: those between them are found by the searches."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(verification, "take_samples", partial(take_samples, grid_size=121))
-        yield
+pytestmark = pytest.mark.usefixtures("coarse_grid")
 
 
 @pytest.fixture(scope="module")
-def good(ring):
+def good(ring, coarse_grid):
     """The verification of the field around a ring of radius 4."""
     return verify(*ring, ratios=ONE)
 
