@@ -30,6 +30,8 @@ AUDITED = (
     ("separated-circles", "paper", 0.7),
 )
 SQUARES = 40
+# What the audit tells of a model, and how that is put together over the fields.
+FOUND = {"values": "sum", "violations": "sum", "largest part of the remainder": "max"}
 
 
 def lap_time(field, center, start):
@@ -96,17 +98,12 @@ def audited(shape, recipe, ratio):
     mixture = mixture_of(field, ratio * field.sigma)
     levels = MixtureModel(mixture, lowest_of(mixture))
     squares, rng = BoxSizes.of(field), np.random.default_rng(0)
-    for half in (
-        *(squares.first, squares.ring, squares.unit / 16, squares.unit / 128, squares.last),
-    ):
+    halves = (squares.first, squares.ring, squares.unit / 16, squares.unit / 128, squares.last)
+    for half in halves:
         boxes = random_boxes(field, half, SQUARES, rng)
         for name, found in audit(field, levels, boxes, rng).items():
             size = f"unit / {squares.unit / half:.0f}"
             yield {"half-side": size, "of": name} | dict(zip(FOUND, found, strict=True))
-
-
-FOUND = {"values": "sum", "violations": "sum", "largest part of the remainder": "max"}
-"""What the audit tells of a model, and how that is put together over the fields."""
 
 
 def test_models_hold_what_balls_say(save):

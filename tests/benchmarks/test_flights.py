@@ -28,7 +28,7 @@ def test_tracking_error_of_both_rings(save):
             {"seed": seed, "speed": speed, **flight.summary}
             for seed, field, reference in trained_fields("concentric-flight")
             for speed in (SPEED, 2.0)
-            for flight in fly(field, reference, speed).flights
+            for flight in fly(field, reference, speed=speed).flights
         ],
         "flight",
     )
@@ -43,7 +43,8 @@ def test_tracking_error_of_both_rings(save):
 def test_legs_and_transfers(save, out, shape):
     tour, rows = TOURS[shape], []
     for seed, field, reference in trained_fields(shape):
-        result = fly_tour(field, reference, tour, SPEED, sensors=SensorParameters(), seed=seed)
+        options = {"speed": SPEED, "sensors": SensorParameters(), "seed": seed}
+        result = fly_tour(field, reference, tour, **options)
         summary = result.summary()
         parts = [{"part": "leg", **leg} for leg in summary["legs"]]
         parts += [{"part": "transfer", **transfer} for transfer in summary["transfers"]]
