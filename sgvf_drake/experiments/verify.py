@@ -138,8 +138,8 @@ def verification_summary(field: GuidingField, found: Verification) -> dict[str, 
         and {"levels": margins.levels, "e_star": margins.e_star, "weakest": margins.weakest},
         "undecided": found.zeros.undecided,
         "violations": [asdict(violation) for violation in found.violations],
-        "assumptions": {**found.assumptions.summary(), "a3": a3},
-        "lemma": found.lemma.summary(),
+        "assumptions": {**found.assumptions, "a3": a3},
+        "lemma": found.lemma,
         "bounds": {bound.name: bound.summary() for bound in found.bounds},
     }
 
