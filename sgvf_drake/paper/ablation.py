@@ -37,6 +37,7 @@ from sgvf_drake.paper.along_path import (
 from sgvf_drake.paper.claims import Rows
 from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
 from sgvf_drake.paper.intervals import POSITIVE, SHARE, interval, interval_columns
+from sgvf_drake.paper.training import trained
 from sgvf_drake.paths import ReferencePath, make_shape
 
 COMPLETE = "complete"
@@ -81,19 +82,14 @@ FOLLOWED: Mapping[str, tuple[str, Range]] = {
 
 @dataclass(frozen=True)
 class AblationTrial:
-    """A recipe complete, and without each of some parts.
+    """A recipe complete, and without each of some parts; the rest is as in `Ablation`.
 
     Attributes:
         recipe: The recipe.
         shape: A named shape of closed pieces.
-        seed: Seed of the cloud and of the training.
         hidden: Hidden widths of the tangent network; None: those of the recipe.
         variants: The variants beside the complete recipe.
-        starts: Agents that follow each field.
-        patience: Their time to run, in the usual one for a field of unit length.
-        ratios: The noise levels of V that the sublevel checks try, in those of the field.
-        score_iterations: Optimisation steps of the score network.
-        tangent_iterations: Optimisation steps of the tangent network.
+        patience: The time of the agents, in the usual one for a field of unit length.
     """
 
     recipe: Literal["paper", "robust"]
@@ -120,24 +116,22 @@ def measure_ablation(trial: AblationTrial, folder: Path) -> Row:
         tangent, whole: see `direction_row`, of v and of m; passed: whether the self-check
         did; train_cpu_s, of the score only where it was learned.
     """
-    # Imported here: what was measured before is shown without torch.
-    from sgvf_drake.learning import TrainingConfig, train
-
     cloud, reference = make_shape(trial.shape, seed=trial.seed)
     unit, samples = cloud.unit_length, sample_path(reference, cloud.unit_length)
     rows: Row = {}
     shared: ScoreNetwork | None = None
     for name in (COMPLETE, *trial.variants):
-        config = TrainingConfig(
-            recipe=trial.recipe,
-            seed=trial.seed,
+        result = trained(
+            cloud,
+            trial.recipe,
+            trial.seed,
+            score=None if name in OF_THE_SCORE else shared,
             max_restarts=0,
             score_iterations=trial.score_iterations,
             tangent_hidden=trial.hidden,
             tangent_iterations=trial.tangent_iterations,
             **VARIANTS[name][1],
         )
-        result = train(cloud, config, score=None if name in OF_THE_SCORE else shared)
         field = result.field
         if name == COMPLETE:
             assert isinstance(field.score_model, ScoreNetwork)
@@ -211,8 +205,8 @@ def checked_row(field: GuidingField, reference: ReferencePath, ratios: Sequence[
         "zeros": sum(v.counts and v.kind == "zero" for v in found.violations),
         "slowest": found.slowest,
         "falls": found.decrease_fraction,
-        "cosine": found.assumptions.cosine.mean,
-        "length_error": found.assumptions.length.mean,
+        "cosine": found.assumptions["a2_cosine"]["mean"],
+        "length_error": found.assumptions["a2_length_error"]["mean"],
     }
 
 

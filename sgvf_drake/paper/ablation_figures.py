@@ -15,9 +15,9 @@ import numpy as np
 import pandas as pd
 
 from sgvf_drake import plotting
-from sgvf_drake.arrays import FloatArray
+from sgvf_drake.arrays import FloatArray, plane_grid
 from sgvf_drake.fields import Field, GuidingField, TangentField, load_field
-from sgvf_drake.paper.along_path import box_grid, directions, sample_path
+from sgvf_drake.paper.along_path import directions, sample_path
 from sgvf_drake.paper.experiment import FOLDER
 from sgvf_drake.paper.intervals import POSITIVE, interval
 from sgvf_drake.paths import ReferencePath, shape_path
@@ -70,7 +70,7 @@ def variants_figure(
             panel.label_outer()
         axes[row * columns].set_ylabel(f"{label}\ny [{UNIT}]")
     figure.colorbar(arrows, ax=axes, label=f"$|{symbol}|$", extend="both", pad=0.01)
-    figure.legend(handles=_marks(symbol), loc="outside lower center", ncols=4, frameon=False)
+    plotting.legend_below(figure, _marks(symbol))
     return figure
 
 
@@ -88,7 +88,7 @@ def _draw_field(
     field = load_field(stem.with_suffix(".safetensors"))
     run = np.load(stem.with_suffix(".npz"))
     part, cloud = drawn(field), field.cloud
-    x = box_grid(cloud.box, ARROWS)
+    _, _, x = plane_grid(cloud.box, ARROWS)
     vectors = part(x)
     length = np.linalg.norm(vectors, axis=1)
     unit = vectors / np.maximum(length, np.finfo(np.float64).tiny)[:, None]
@@ -175,8 +175,7 @@ def measures_figure(
         own.grid(axis="y", alpha=0.3)
     for spare in axes[len(panels) :]:
         spare.set_axis_off()
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(groups), frameon=False)
+    plotting.legend_below(figure, *axes[0].get_legend_handles_labels())
     return figure
 
 

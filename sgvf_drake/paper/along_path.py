@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sgvf_drake.arrays import BoolArray, FloatArray, IntArray
+from sgvf_drake.arrays import BoolArray, FloatArray, IntArray, plane_grid
 from sgvf_drake.experiments.simulation import simulate_agents
 from sgvf_drake.experiments.workbench import Row
 from sgvf_drake.fields import GuidingField, NormalisedComposition
@@ -198,7 +198,7 @@ def lengths_row(field: GuidingField, reference: ReferencePath, samples: PathSamp
         grid that are `NEAR` the path and `AWAY` from it; fading: the one over the other;
         leads_near, leads_away: the share of these points at which v is longer than s.
     """
-    x = box_grid(field.cloud.box, GRID_SIZE)
+    _, _, x = plane_grid(field.cloud.box, GRID_SIZE)
     s, v = field.components(x)
     length = np.linalg.norm(v, axis=1)
     leads = length > np.linalg.norm(s, axis=1)
@@ -218,12 +218,6 @@ def lengths_row(field: GuidingField, reference: ReferencePath, samples: PathSamp
         "leads_near": float(leads[near].mean()),
         "leads_away": float(leads[away].mean()),
     }
-
-
-def box_grid(box: tuple[FloatArray, FloatArray], size: int) -> FloatArray:
-    """Returns the points (size^2, 2) of a square grid over a planar box."""
-    axes = [np.linspace(box[0][k], box[1][k], size) for k in range(2)]
-    return np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
 
 
 def _extremes(name: str, values: FloatArray) -> Row:

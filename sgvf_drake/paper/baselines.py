@@ -71,14 +71,7 @@ _MEASURES = (
 
 @dataclass(frozen=True)
 class BaselineTrial:
-    """A method on a case.
-
-    Attributes:
-        case: One of `CASES`.
-        method: One of `METHODS`.
-        seed: Seed of noise, order and training.
-        starts: Number of starts.
-    """
+    """One of `METHODS` on one of `CASES`; the rest is as in `BaselineComparison`."""
 
     case: str
     method: str

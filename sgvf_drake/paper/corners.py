@@ -16,7 +16,7 @@ import pandas as pd
 from scipy.stats import spearmanr
 
 from sgvf_drake import plotting
-from sgvf_drake.arrays import FloatArray
+from sgvf_drake.arrays import FloatArray, plane_grid
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments.follow import follow
 from sgvf_drake.experiments.workbench import Row, Workbench
@@ -27,7 +27,7 @@ from sgvf_drake.paper import claims
 from sgvf_drake.paper.claims import Claim, Count, Figures, Mean, Rows, Share, Span, Verdict
 from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
 from sgvf_drake.paper.intervals import SHARE, interval, interval_columns
-from sgvf_drake.paper.training import shortened
+from sgvf_drake.paper.training import trained
 from sgvf_drake.paper.traps import along_sides, examine, paused, polygon
 from sgvf_drake.paths import PointCloud
 
@@ -191,19 +191,16 @@ def measure_corners(trial: CornerTrial, folder: Path) -> Row:
         For each network by its name: what agents did, one value each; the zeros of m and
         the sizes of s and v there; and what `examine` says.
     """
-    # Imported here: what reads the rows does not import torch.
-    from sgvf_drake.learning import train
-
     cloud = polygon_cloud(trial)
     score: ScoreNetwork | None = None
     results = {}
+    options: dict[str, Any] = {"seed": trial.seed, "effort": trial.effort}
     for name, hidden in PAPER_TANGENTS.items():
-        config = shortened("paper", trial.seed, trial.effort, tangent_hidden=hidden)
-        results[name] = train(cloud, config, score=score)
+        results[name] = trained(cloud, "paper", **options, score=score, tangent_hidden=hidden)
         learned = results[name].field.score_model
         assert isinstance(learned, ScoreNetwork)
         score = learned
-    results["robust"] = train(cloud, shortened("robust", trial.seed, trial.effort))
+    results["robust"] = trained(cloud, "robust", **options)
     return {
         name: {
             **_measure(result.field, trial, folder / name),
@@ -493,13 +490,13 @@ def corners_figure(views: Sequence[View]) -> Figure:
         panel.plot(*final.T, "X", color="black", markersize=9, markeredgecolor="white")
         title = f"{view.title}: {lapped.mean():.0%} lap, {stalled.mean():.0%} stall"
         plotting.plane_axes(panel, UNIT, title)
-    _legend(
-        figure,
+    marks = [
         Line2D([], [], color=plotting.BLUE, label="agent that laps"),
         Line2D([], [], color=plotting.RED, label="agent that does not"),
         Line2D([], [], color="black", marker="X", ls="", label="where agents stall"),
         Line2D([], [], color="black", marker=".", ls="", label="waypoints"),
-    )
+    ]
+    plotting.legend_below(figure, marks)
     return figure
 
 
@@ -510,28 +507,21 @@ def near_figure(views: Sequence[View]) -> Figure:
         _plot_corner(panel, view)
     scale = ScalarMappable(NORMS, NORM_COLORS)
     figure.colorbar(scale, ax=axes, label="|m|", shrink=0.6, extend="max")
-    _legend(
-        figure,
+    marks = [
         Line2D([], [], color="white", marker="v", mec="black", ls="", label="zero, attracts"),
         Line2D([], [], color="white", marker="o", mec="black", ls="", label="zero, other"),
         Line2D([], [], color="black", marker=".", ls="", label="waypoints"),
-    )
+    ]
+    plotting.legend_below(figure, marks)
     return figure
-
-
-def _legend(figure: Figure, *handles: Line2D) -> None:
-    figure.legend(
-        handles=handles, loc="outside lower center", ncols=len(handles), frameon=False
-    )
 
 
 def _plot_corner(axes: Axes, view: View) -> None:
     """Draws |m|, stream lines, waypoints and zeros about the slowest corner of a view."""
     half = WINDOW * view.field.cloud.unit_length
-    corner = view.found["slowest_corner"]
-    x, y = (np.linspace(middle - half, middle + half, PIXELS) for middle in corner)
-    grid = np.stack(np.meshgrid(x, y), axis=-1)
-    m = view.field(grid.reshape(-1, 2)).reshape(grid.shape)
+    corner = np.array(view.found["slowest_corner"])
+    x, y, points = plane_grid((corner - half, corner + half), PIXELS)
+    m = view.field(points).reshape(PIXELS, PIXELS, 2)
     size = np.linalg.norm(m, axis=2)
     axes.pcolormesh(x, y, size, cmap=NORM_COLORS, norm=NORMS, shading="gouraud")
     axes.streamplot(x, y, m[..., 0], m[..., 1], color="white", density=1.1, linewidth=0.7)

@@ -19,6 +19,7 @@ from sgvf_drake.metrics import REACH_DISTANCE
 from sgvf_drake.paper.claims import Claim, Count, Figures, Rows, Span, every
 from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
 from sgvf_drake.paper.intervals import interval_columns
+from sgvf_drake.paper.training import trained
 from sgvf_drake.paths import make_shape, shape_path
 from systems import FieldForSpeed, QuadrotorParameters, SensorParameters
 
@@ -49,16 +50,7 @@ FLIGHTS_CAPTION = (
 
 @dataclass(frozen=True)
 class FlightTrial:
-    """A tour of the pieces of a shape.
-
-    Attributes:
-        shape: One of `SHAPES`, in metres.
-        recipe: Recipe of the training.
-        seed: Seed of the cloud, the training and the noise of the measurements.
-        tour: Numbers of the pieces, in the order of the flight.
-        speed: Commanded speed, m/s.
-        laps: Laps of each piece.
-    """
+    """A tour of pieces, numbered from 0, of a shape; the rest is as in `Flights`."""
 
     shape: str
     recipe: str
@@ -77,12 +69,8 @@ def measure_flight(trial: FlightTrial, folder: Path) -> Row:
         error; completed, summary, feasibility and real_time_factor: as of the tour; and what
         `flown_row` does.
     """
-    # Imported here: what was flown before is shown without torch.
-    from sgvf_drake.learning import TrainingConfig, train
-
     cloud, path = make_shape(trial.shape, seed=trial.seed)
-    settings: dict[str, Any] = {"recipe": trial.recipe, "seed": trial.seed}
-    field = train(cloud, TrainingConfig(**settings)).field
+    field = trained(cloud, trial.recipe, trial.seed).field
     field.save(folder / FIELD)
     try:
         result = fly_tour(

@@ -49,6 +49,7 @@ from sgvf_drake.paper.claims import (
 from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
 from sgvf_drake.paper.intervals import SHARE, interval_columns
 from sgvf_drake.paper.methods import CASES, make_case
+from sgvf_drake.paper.training import trained
 from sgvf_drake.paper.ways import coverage, find_ways
 from sgvf_drake.paths import PointCloud, ReferencePath
 
@@ -103,14 +104,7 @@ ORDER_CAPTION = (
 
 @dataclass(frozen=True)
 class CurveTrial:
-    """A curve through waypoints in the order in which they are given.
-
-    Attributes:
-        case: "ordered", "shuffled" or "branching", one of `CASES`.
-        curve: One of `CURVES`.
-        thinning: Every how many-th waypoint along the path is taken.
-        seed: Seed of the order.
-    """
+    """One of `CURVES` through every so many-th waypoint of a case, one of `GIVEN`."""
 
     case: str
     curve: str
@@ -120,14 +114,7 @@ class CurveTrial:
 
 @dataclass(frozen=True)
 class LearnedTrial:
-    """A field that is trained on waypoints in one order.
-
-    Attributes:
-        case: "ordered", "shuffled" or "branching", one of `CASES`.
-        recipe: The recipe of the training.
-        seed: Seed of the order and of the training.
-        starts: Number of agents on a grid over the box.
-    """
+    """A field trained on a case, one of `GIVEN`; the rest is as in `Indexing`."""
 
     case: str
     recipe: str
@@ -158,13 +145,9 @@ def measure_learned(trial: LearnedTrial, folder: Path) -> Row:
     Returns:
         success and coverage, the share of agents that succeed and of waypoints they pass.
     """
-    # Imported here: what was trained before is shown without torch.
-    from sgvf_drake.learning import TrainingConfig, train
-
     cloud, path = make_case(CASES[trial.case], trial.seed)
-    settings: dict[str, Any] = {"recipe": trial.recipe, "seed": trial.seed}
     # One attempt: at a fork, the self-check finds a fault in whatever was trained.
-    field = train(cloud, TrainingConfig(**settings, max_restarts=0)).field
+    field = trained(cloud, trial.recipe, trial.seed, max_restarts=0).field
     unit = cloud.unit_length
     duration = PATIENCE.get(trial.recipe, 1.0) * default_duration(path, unit)
     run = follow(field, path, trial.starts, duration)

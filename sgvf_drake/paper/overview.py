@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 from functools import partial
 from itertools import cycle
 from pathlib import Path
-from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -27,6 +26,7 @@ from sgvf_drake.paper.intervals import (
     fraction_interval,
     interval_columns,
 )
+from sgvf_drake.paper.training import trained
 from sgvf_drake.paths import ReferencePath, make_shape
 
 FIELD, LOSSES, AGENTS = "field.safetensors", "losses.parquet", "agents.npy"
@@ -63,14 +63,7 @@ LOSSES_CAPTION = (
 
 @dataclass(frozen=True)
 class OverviewTrial:
-    """A training and what follows it.
-
-    Attributes:
-        shape: One of `SHAPES`, of closed pieces.
-        recipe: Recipe of the training.
-        seed: Seed of the cloud and of the training.
-        starts: Number of agents on a grid over the box.
-    """
+    """A training of a shape by a recipe; the rest is as in `Overview`."""
 
     shape: str
     recipe: str
@@ -86,12 +79,8 @@ def measure_overview(trial: OverviewTrial, folder: Path) -> Row:
         how many agents lap; all_lap: whether all do; losses: see `tangent_courses`;
         restarts; train_cpu_s.
     """
-    # Imported here: what was measured before is shown without torch.
-    from sgvf_drake.learning import TrainingConfig, train
-
     cloud, path = make_shape(trial.shape, seed=trial.seed)
-    settings: dict[str, Any] = {"recipe": trial.recipe, "seed": trial.seed}
-    result = train(cloud, TrainingConfig(**settings))
+    result = trained(cloud, trial.recipe, trial.seed)
     duration = PATIENCE.get(trial.recipe, 1.0) * default_duration(path, cloud.unit_length)
     run = follow(result.field, path, trial.starts, duration)
     result.field.save(folder / FIELD)

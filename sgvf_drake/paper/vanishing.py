@@ -30,7 +30,7 @@ from sgvf_drake.paper.claims import Claim, Count, Figures, Rows, Verdict, every
 from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
 from sgvf_drake.paper.intervals import interval_columns
 from sgvf_drake.paper.parametric import ParametricTrial, measure_parametric, plot_helices
-from sgvf_drake.paper.training import shortened
+from sgvf_drake.paper.training import trained
 from sgvf_drake.paths import ReferencePath, make_shape
 
 FIELDS, PARAMETRIC = "fields", "parametric"
@@ -200,18 +200,15 @@ def measure_score_zeros(trial: VanishingTrial, folder: Path) -> Row:
         `singularity_summary`, the summary of `measure_vanishing`, the zeros, and the regions
         of the box off the path; see `region_indices`.
     """
-    # Imported here: what reads the rows does not import torch.
-    from sgvf_drake.learning import train
-
-    settings = {
+    settings: dict[str, dict[str, Any]] = {
         # The tangent takes most of the time, and is not asked for.
         "paper": {"tangent_iterations": 1},
         # The zeros of whatever score comes out are asked for.
         "robust": {"max_restarts": 0},
     }
-    config = shortened(trial.recipe, trial.seed, trial.effort, **settings[trial.recipe])
     cloud, path = make_shape(trial.shape, seed=trial.seed)
-    field = train(cloud, config).field
+    own = settings[trial.recipe]
+    field = trained(cloud, trial.recipe, trial.seed, effort=trial.effort, **own).field
     found = find_singularities(field)
     vanishing = measure_vanishing(field, found, path)
     field.save(folder / FIELD)
@@ -219,7 +216,7 @@ def measure_score_zeros(trial: VanishingTrial, folder: Path) -> Row:
         **singularity_summary(found),
         "sigma": field.mixture.sigma,
         "unit": cloud.unit_length,
-        "vanishing": vanishing.summary(),
+        "vanishing": vanishing.summary,
         "zeros": zero_rows(found, vanishing),
         "regions": region_indices(field, found, path),
     }
@@ -529,13 +526,9 @@ def vanishing_figure(field: GuidingField, found: Singularities, around: pd.Serie
     surface.set_title("(c) log-density as a surface")
     plot_helices(figure.add_subplot(2, 2, 4, projection="3d"), around)
     names = [name for name in ("waypoints", *MARKS) if name in marks]
-    figure.legend(
-        [*(marks[name] for name in names), *both],
-        [*names, "zeros of S in (b), (c)", "zeros of m in (b), (c)"],
-        loc="outside lower center",
-        ncols=4,
-        frameon=False,
-    )
+    handles = [*(marks[name] for name in names), *both]
+    both_names = ("zeros of S in (b), (c)", "zeros of m in (b), (c)")
+    plotting.legend_below(figure, handles, [*names, *both_names], 4)
     return figure
 
 
@@ -553,9 +546,7 @@ def shapes_figure(
         marks = plot_density_map(panel, learned, found[name])[-2:]
         score, guiding = len(found[name].score.zeros), len(found[name].guiding.zeros)
         panel.set_title(f"{name}: {score} zeros of S, {guiding} of m")
-    figure.legend(
-        marks, ["zeros of S", "zeros of m"], loc="outside lower center", ncols=2, frameon=False
-    )
+    plotting.legend_below(figure, marks, ["zeros of S", "zeros of m"])
     return figure
 
 

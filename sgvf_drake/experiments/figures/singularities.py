@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 import numpy as np
 
 from sgvf_drake import plotting
-from sgvf_drake.arrays import FloatArray
+from sgvf_drake.arrays import FloatArray, plane_grid
 from sgvf_drake.fields import GuidingField, ScoreField, TangentField
 from sgvf_drake.lyapunov import FieldZeros, Singularities, Zero
 
@@ -56,13 +56,7 @@ def singularity_figure(field: GuidingField, found: Singularities) -> Figure:
         title = f"{name}: {_count(zeros)}, sum of indices {zeros.index_sum}"
         plotting.plane_axes(panel, UNIT, title)
     shown = [name for name in ("waypoints", *MARKS) if name in marks]
-    figure.legend(
-        [marks[name] for name in shown],
-        shown,
-        loc="outside lower center",
-        ncols=8,
-        frameon=False,
-    )
+    plotting.legend_below(figure, [marks[name] for name in shown], shown, 8)
     return figure
 
 
@@ -73,7 +67,7 @@ def log_density_figure(field: GuidingField, found: Singularities) -> Figure:
     plot_density_surface(figure.add_subplot(1, 2, 2, projection="3d"), field, found)
     score, guiding = (len(zeros.zeros) for zeros in (found.score, found.guiding))
     names = [f"zeros of S ({score})", f"zeros of m ({guiding})"]
-    figure.legend(marks, names, loc="outside lower center", ncols=2, frameon=False)
+    plotting.legend_below(figure, marks, names)
     return figure
 
 
@@ -137,9 +131,7 @@ def _density(
 
     The values are cut off at `FLOOR_PERCENTILE`.
     """
-    lower, upper = found.box
-    x, y = (np.linspace(lower[k], upper[k], size) for k in range(2))
-    grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    x, y, grid = plane_grid(found.box, size)
     values = field.mixture.log_density(grid).reshape(size, size)
     largest = float(values.max())
     floor = np.percentile(values, FLOOR_PERCENTILE)
