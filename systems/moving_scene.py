@@ -315,21 +315,10 @@ def AddFlightTrail(
     width: float = TRAIL_WIDTH,
     name: str = "trail",
 ) -> FlightTrail:
-    """Adds a `FlightTrail` and connects it.
+    """Adds a `FlightTrail`, called `name`, to a builder and returns it.
 
-    Args:
-        builder: Is changed.
-        state_port: The vehicle's state (12), as QuadrotorPlant's.
-        meshcat: Is drawn to.
-        path: Of the line in Meshcat's scene.
-        width: Of the line in m.
-        name: Of the system.
-
-    Returns:
-        The system that was added.
-
-    Raises:
-        ConfigurationError: if the width is not finite and positive.
+    It is connected to `state_port`, the vehicle's state (12) as QuadrotorPlant's; the other
+    arguments are those of `FlightTrail`.
     """
     trail: Any = builder.AddNamedSystem(name, FlightTrail(meshcat, path, width))
     builder.Connect(state_port, trail.get_input_port())

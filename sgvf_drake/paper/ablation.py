@@ -34,9 +34,9 @@ from sgvf_drake.paper.along_path import (
     lengths_row,
     sample_path,
 )
-from sgvf_drake.paper.claims import Rows
+from sgvf_drake.paper.claims import Count, Rows
 from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
-from sgvf_drake.paper.intervals import POSITIVE, SHARE, interval, interval_columns
+from sgvf_drake.paper.intervals import POSITIVE, SHARE, interval, interval_columns, over_seeds
 from sgvf_drake.paper.training import trained
 from sgvf_drake.paths import ReferencePath, make_shape
 
@@ -333,17 +333,21 @@ class SeedsTable:
 
     def of(self, table: pd.DataFrame, group: str) -> Exhibit:
         """Returns the table of fields, from one row a field."""
-        rows = []
-        for (name, variant), fields in table.groupby([group, "variant"], sort=False):
-            row: dict[str, Any] = {group: name, "variant": VARIANTS[str(variant)][0]}
-            for header, measure in self.counts.items():
-                row[header] = f"{int(fields[measure].sum())} of {len(fields)}"
+
+        def columns(fields: pd.DataFrame) -> Row:
+            row: Row = {
+                header: str(Count.of(fields[measure]))
+                for header, measure in self.counts.items()
+            }
             for header, (measure, within) in self.means.items():
                 row.update(interval_columns(header, fields[measure].astype(float), within))
-            for header, measure in self.firsts.items():
-                row[header] = fields[measure].iloc[0]
-            rows.append(row)
-        return Exhibit(self.name, self.caption, pd.DataFrame(rows))
+            firsts = {header: fields[name].iloc[0] for header, name in self.firsts.items()}
+            return row | firsts
+
+        names = {variant: name for variant, (name, _) in VARIANTS.items()}
+        named = table.assign(variant=table["variant"].map(names))
+        rows = over_seeds(named, (group, "variant"), columns)
+        return Exhibit(self.name, self.caption, rows)
 
 
 @dataclass

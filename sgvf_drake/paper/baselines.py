@@ -25,7 +25,7 @@ from sgvf_drake.fields import ParametricField
 from sgvf_drake.metrics import default_duration
 from sgvf_drake.paper.claims import Claim, Count, Figures, Rows, Verdict, every
 from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
-from sgvf_drake.paper.intervals import SHARE, interval, interval_columns
+from sgvf_drake.paper.intervals import SHARE, interval, interval_columns, over_seeds
 from sgvf_drake.paper.methods import CASES, LEARNED, METHODS, make_case
 from sgvf_drake.paper.ways import Ways, coverage, effort, errors, find_ways
 from sgvf_drake.paths import PointCloud
@@ -277,9 +277,11 @@ def _check(what: str, names: Sequence, known: Sequence | Mapping) -> None:
 def _table(case: str, cells: pd.DataFrame) -> pd.DataFrame:
     numbers = ["success", "coverage", "rms_u", "max_u", "effort", "build_s", "evaluation_us"]
     own = cells[cells["case"] == case].astype(dict.fromkeys(numbers, float))
-    return pd.DataFrame(
-        {
-            "method": METHODS[str(method)].label,
+    labels = {name: method.label for name, method in METHODS.items()}
+    return over_seeds(
+        own.assign(method=own["method"].map(labels)),
+        ("method",),
+        lambda found: {
             **interval_columns("success", found["success"], SHARE),
             "coverage": found["coverage"].mean(),
             **interval_columns("RMS, U", found["rms_u"]),
@@ -287,8 +289,7 @@ def _table(case: str, cells: pd.DataFrame) -> pd.DataFrame:
             **interval_columns("effort, 1/U", found["effort"]),
             "build, s": interval(found["build_s"])[0],
             "point, µs": found["evaluation_us"].min(),
-        }
-        for method, found in own.groupby("method", sort=False)
+        },
     )
 
 

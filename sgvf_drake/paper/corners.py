@@ -26,7 +26,7 @@ from sgvf_drake.metrics import default_duration
 from sgvf_drake.paper import claims
 from sgvf_drake.paper.claims import Claim, Count, Figures, Mean, Rows, Share, Span, Verdict
 from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
-from sgvf_drake.paper.intervals import SHARE, interval, interval_columns
+from sgvf_drake.paper.intervals import SHARE, interval, interval_columns, over_seeds
 from sgvf_drake.paper.training import trained
 from sgvf_drake.paper.traps import along_sides, examine, paused, polygon
 from sgvf_drake.paths import PointCloud
@@ -151,22 +151,17 @@ class Corners(Experiment):
 
     def tables(self, rows: Rows) -> Sequence[Exhibit]:
         fields, traps = corner_fields(rows), corner_traps(rows)
-        groups = fields.sort_values("corners", kind="stable").groupby(
-            ["corners", "network"], sort=False
+        fields = fields.sort_values("corners", kind="stable").rename(
+            columns={"angle": "angle, degrees"}
         )
-        stalls, trapped = [], []
-        for (corners, network), own in groups:
-            here = traps[(traps["corners"] == corners) & (traps["network"] == network)]
-            labels = {
-                "angle, degrees": own["angle"].iloc[0],
-                "network": network,
-                "fields": len(own),
-            }
-            stalls.append(labels | _stalls(own))
-            trapped.append(labels | _traps(own, here))
+        by = ("angle, degrees", "network")
         return [
-            Exhibit("corner_stalls", STALLS_CAPTION, pd.DataFrame(stalls)),
-            Exhibit("corner_traps", TRAPS_CAPTION, pd.DataFrame(trapped)),
+            Exhibit("corner_stalls", STALLS_CAPTION, over_seeds(fields, by, _stalls)),
+            Exhibit(
+                "corner_traps",
+                TRAPS_CAPTION,
+                over_seeds(fields, by, lambda own: _traps(own, traps)),
+            ),
         ]
 
     def figures(self, rows: Rows) -> Sequence[Exhibit]:
@@ -279,6 +274,7 @@ def _fields(rows: Rows) -> Iterator[tuple[Row, Row]]:
 
 def _stalls(fields: pd.DataFrame) -> Row:
     return {
+        "fields": len(fields),
         **interval_columns("stalled, %", 100 * fields["stalled"], PERCENT),
         **interval_columns("stalled near a corner, %", 100 * fields["stalled_near"], PERCENT),
         **interval_columns("near, of the stalled, %", 100 * fields["near"], PERCENT),
@@ -289,10 +285,13 @@ def _stalls(fields: pd.DataFrame) -> Row:
     }
 
 
-def _traps(fields: pd.DataFrame, traps: pd.DataFrame) -> Row:
+def _traps(fields: pd.DataFrame, all_traps: pd.DataFrame) -> Row:
+    corners, network = fields[["corners", "network"]].iloc[0]
+    traps = all_traps[(all_traps["corners"] == corners) & (all_traps["network"] == network)]
     along = traps["along"]
     parts = ((along < 0).sum(), (along >= 0).sum(), along.isna().sum())
     return {
+        "fields": len(fields),
         **interval_columns("corners with a trap, %", 100 * fields["trapped"], PERCENT),
         "traps": len(traps),
         "before / after / clash": " / ".join(map(str, parts)),

@@ -18,7 +18,7 @@ from sgvf_drake.fields import load_field
 from sgvf_drake.metrics import REACH_DISTANCE
 from sgvf_drake.paper.claims import Claim, Count, Figures, Rows, Span, every
 from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
-from sgvf_drake.paper.intervals import interval_columns
+from sgvf_drake.paper.intervals import interval_columns, over_seeds
 from sgvf_drake.paper.training import trained
 from sgvf_drake.paths import make_shape, shape_path
 from systems import FieldForSpeed, QuadrotorParameters, SensorParameters
@@ -272,11 +272,10 @@ def parts_table(flights: pd.DataFrame) -> pd.DataFrame:
     if parts.empty:
         return parts
     limit = QuadrotorParameters().max_propeller_force
-    return pd.DataFrame(
-        {
-            "shape": shape,
-            "recipe": recipe,
-            "part": name,
+    return over_seeds(
+        parts,
+        ("shape", "recipe", "part"),
+        lambda own: {
             "flights": len(own),
             **interval_columns("RMS, mm", MM * own["cross_track_rms_m"]),
             **interval_columns("largest, mm", MM * own["cross_track_max_m"]),
@@ -285,8 +284,7 @@ def parts_table(flights: pd.DataFrame) -> pd.DataFrame:
             "force, %": _percent(
                 own["motor_force_min_n"].min(), own["motor_force_max_n"].max(), limit
             ),
-        }
-        for (shape, recipe, name), own in parts.groupby(["shape", "recipe", "part"], sort=False)
+        },
     )
 
 

@@ -47,7 +47,7 @@ from sgvf_drake.paper.claims import (
     every_of_all,
 )
 from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
-from sgvf_drake.paper.intervals import SHARE, interval_columns
+from sgvf_drake.paper.intervals import SHARE, interval_columns, over_seeds
 from sgvf_drake.paper.methods import CASES, make_case
 from sgvf_drake.paper.training import trained
 from sgvf_drake.paper.ways import coverage, find_ways
@@ -416,39 +416,34 @@ def _frame(axes: Axes, title: str) -> None:
 
 
 def _curves_table(curves: pd.DataFrame) -> pd.DataFrame:
-    return pd.DataFrame(
-        {
-            "case": case,
-            "curve": LABELS[str(curve)],
-            "waypoints": waypoints,
+    return over_seeds(
+        curves.assign(curve=curves["curve"].map(LABELS)),
+        ("case", "curve", "waypoints"),
+        lambda own: {
             **interval_columns("length over true", own["length_ratio"]),
             **interval_columns("farthest from path, U", own["farthest_u"]),
-        }
-        for (case, curve, waypoints), own in curves.groupby(
-            ["case", "curve", "waypoints"], sort=False
-        )
+        },
     )
 
 
 def _agents_table(agents: pd.DataFrame) -> pd.DataFrame:
-    return pd.DataFrame(
-        {
-            "case": case,
-            "field": _label(str(name)),
+    return over_seeds(
+        agents.assign(field=agents["field"].map(_label)),
+        ("case", "field"),
+        lambda own: {
             **interval_columns("success", own["success"], SHARE),
             **interval_columns("coverage", own["coverage"], SHARE),
-        }
-        for (case, name), own in agents.groupby(["case", "field"], sort=False)
+        },
     )
 
 
 def _order_table(changes: pd.DataFrame) -> pd.DataFrame:
-    return pd.DataFrame(
-        {"change": what}
-        | {
+    return over_seeds(
+        changes,
+        ("change",),
+        lambda own: {
             column: value
             for name in own.columns.drop("change")
             for column, value in interval_columns(str(name), own[name]).items()
-        }
-        for what, own in changes.groupby("change", sort=False)
+        },
     )

@@ -25,6 +25,7 @@ from sgvf_drake.paper.intervals import (
     fraction_columns,
     fraction_interval,
     interval_columns,
+    over_seeds,
 )
 from sgvf_drake.paper.training import trained
 from sgvf_drake.paths import ReferencePath, make_shape
@@ -210,10 +211,10 @@ class Overview(Experiment):
 
 def fields_table(fields: pd.DataFrame) -> pd.DataFrame:
     """Returns one row a shape and recipe, over the seeds."""
-    return pd.DataFrame(
-        {
-            "shape": shape,
-            "recipe": recipe,
+    return over_seeds(
+        fields,
+        ("shape", "recipe"),
+        lambda own: {
             "reach": own["reach"].mean(),
             **interval_columns("lap", own["lap"], SHARE),
             **fraction_columns("fields followed", followed(own).tolist()),
@@ -222,8 +223,7 @@ def fields_table(fields: pd.DataFrame) -> pd.DataFrame:
             **interval_columns("least |m|", own["speed_min"]),
             **interval_columns("largest |m|", own["speed_max"]),
             **interval_columns("training, s CPU", own["train_cpu_s"]),
-        }
-        for (shape, recipe), own in fields.groupby(["shape", "recipe"], sort=False)
+        },
     )
 
 

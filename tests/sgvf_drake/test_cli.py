@@ -13,8 +13,7 @@ import pytest
 from safetensors.numpy import save_file
 
 from sgvf_drake import __version__, load_field
-from sgvf_drake.cli import main
-from sgvf_drake.cli.training import DirectionName
+from sgvf_drake.cli import main, training
 from sgvf_drake.learning.direction import DIRECTIONS
 
 SHAPE = ("--shape", "concentric-flight", "--num-points", "100")
@@ -302,7 +301,7 @@ def test_each_piece_has_its_direction(quick, direction, outer, inner):
 
 
 def test_the_names_of_directions_are_those_of_the_training():
-    assert set(DirectionName) == set(DIRECTIONS)
+    assert set(training.DIRECTIONS) == set(DIRECTIONS)
 
 
 def test_follow(trained, tmp_path, capsys):
