@@ -42,15 +42,7 @@ def run_singularities(
 ) -> dict[str, Any]:
     """Finds the zeros of a field; leaves a table, two figures and the summary.
 
-    Args:
-        field: The field, planar.
-        reference: From `choose_reference`; None: the best there is without a file.
-        out: The folder of the results.
-        prove: Whether to enclose the zeros too, with a proof that there are no others.
-        overwrite: Whether results there may be replaced.
-
-    Returns:
-        The summary.
+    To `prove` is to enclose the zeros too, with a proof that there are no others.
 
     Raises:
         ConfigurationError: The field is not planar, its zeros have no index, or nothing bounds

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.spatial import cKDTree
 
 from sgvf_drake.arrays import BoolArray, FloatArray, IntArray
 from sgvf_drake.exceptions import ConfigurationError
@@ -23,6 +22,7 @@ from sgvf_drake.lyapunov.cells import (
     adjugate,
     is_one_to_one,
 )
+from sgvf_drake.lyapunov.function import distinct
 from sgvf_drake.lyapunov.winding import cut, turning
 
 # Side of the first cells, in scales of the field.
@@ -135,7 +135,7 @@ def _search(
         cells = cells.quartered()
         count += len(cells)
         cells, smooth = _left_over(field, cells)
-    points = _distinct(np.concatenate(found), smallest)
+    points = distinct(np.concatenate(found), smallest)
     return points, [*lines.clusters(), *cells.clusters()], count
 
 
@@ -180,13 +180,6 @@ def _newton(field: PlanarMap, centers: FloatArray, half: float) -> tuple[FloatAr
         last[inside] = np.where(np.isinf(determinant), np.inf, np.abs(step).max(axis=1))
         inside = np.abs(x - centers).max(axis=1) <= half
     return x, inside & (last <= NEWTON_TOLERANCE * half)
-
-
-def _distinct(points: FloatArray, distance: float) -> FloatArray:
-    """Returns one of points that are nearer to each other than a distance."""
-    kept = np.ones(len(points), bool)
-    kept[cKDTree(points).query_pairs(distance, output_type="ndarray")[:, 1]] = False
-    return points[kept]
 
 
 def _zero_of_cluster(

@@ -156,14 +156,7 @@ def measure_ablation(trial: AblationTrial, folder: Path) -> Row:
 def followed_row(
     field: GuidingField, reference: ReferencePath, starts: int, patience: float, file: Path
 ) -> Row:
-    """Follows a field in one diagram; leaves where its agents ended.
-
-    Args:
-        field: The field.
-        reference: The true path, of closed pieces.
-        starts: Number of agents, on a grid over the box.
-        patience: The usual time to run is multiplied by this.
-        file: Where the last positions go, `.npz`.
+    """Follows a field in one diagram; leaves in a file where its agents ended.
 
     Returns:
         What `quality.measures.following` does; `settle`, the fraction of agents that stayed
@@ -184,11 +177,6 @@ def followed_row(
 
 def checked_row(field: GuidingField, reference: ReferencePath, ratios: Sequence[float]) -> Row:
     """Passes a field through the sublevel checks; see `lyapunov.verify`.
-
-    Args:
-        field: The field.
-        reference: The true path.
-        ratios: The noise levels of V to try, in those of the field.
 
     Returns:
         holds, reason; band: whether V falls on a band of levels about a tube along the path;

@@ -66,8 +66,10 @@ def measure_flight(trial: FlightTrial, folder: Path) -> Row:
     A flight that loses control is a result as well: its row has the text of the error.
 
     Returns:
-        error; completed, summary, feasibility and real_time_factor: as of the tour; and what
-        `flown_row` does.
+        error; completed, summary, feasibility and real_time_factor: as of the tour; rms_m,
+        max_m: root mean square and largest cross-track error on the worst piece; tolerance_m:
+        the error up to which a piece counts as followed; limit_n: the largest force of a
+        propeller; and what `motion_of` does.
     """
     cloud, path = make_shape(trial.shape, seed=trial.seed)
     field = trained(cloud, trial.recipe, trial.seed).field
@@ -92,27 +94,9 @@ def measure_flight(trial: FlightTrial, folder: Path) -> Row:
         "summary": summary,
         "feasibility": asdict(result.feasibility),
         "real_time_factor": result.real_time_factor,
-        **flown_row(summary["legs"], log, cloud.unit_length),
-    }
-
-
-def flown_row(legs: Sequence[Mapping[str, Any]], log: pd.DataFrame, unit_length: float) -> Row:
-    """Returns the figures of a flight that kept control.
-
-    Args:
-        legs: The legs of the tour.
-        log: The log of the tour.
-        unit_length: U of the cloud, m.
-
-    Returns:
-        rms_m, max_m: root mean square and largest cross-track error on the worst piece;
-        tolerance_m: the error up to which a piece counts as followed; limit_n: the largest
-        force of a propeller; and what `motion_of` does.
-    """
-    return {
-        "rms_m": max((leg["cross_track_rms_m"] for leg in legs), default=None),
-        "max_m": max((leg["cross_track_max_m"] for leg in legs), default=None),
-        "tolerance_m": REACH_DISTANCE * unit_length,
+        "rms_m": max((leg["cross_track_rms_m"] for leg in result.legs), default=None),
+        "max_m": max((leg["cross_track_max_m"] for leg in result.legs), default=None),
+        "tolerance_m": REACH_DISTANCE * cloud.unit_length,
         "limit_n": QuadrotorParameters().max_propeller_force,
         **motion_of(log),
     }

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments import clouds
-from sgvf_drake.experiments.figures import follow_figure
+from sgvf_drake.experiments.figures.runs import follow_figure
 from sgvf_drake.experiments.follow import PATIENCE, follow
 from sgvf_drake.experiments.quality.cases import LABELS, Case
 from sgvf_drake.experiments.quality.measures import Row, failure, following, measure_score
