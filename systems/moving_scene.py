@@ -292,10 +292,6 @@ def _Ribbons(points: FloatArray, width: float) -> tuple[FloatArray, IntArray]:
 
     One ribbon lies across each axis, so that one is seen broad from wherever it is looked
     at, and standing still needs no care.  A browser draws plain lines one pixel wide.
-
-    Args:
-        points: Of the line, (n, 3) in m.
-        width: Of a ribbon in m.
     """
     n = len(points)
     offsets = width / 2.0 * np.array([-np.eye(3), np.eye(3)])

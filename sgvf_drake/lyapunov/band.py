@@ -211,14 +211,8 @@ def _climb(
     """Returns V and V_dot at points of a band where m flows in least, (k,) each.
 
     Points are pushed to where the inward normal speed is smaller still, by trial: what lies
-    between the samples is to be found.
-
-    Args:
-        field: The field m.
-        function: V.
-        climbers: Points (k, 2), and there V, V_dot and the outward normal speed of m.
-        gap: The lowest and the highest level of the band.
-        rng: Draws the steps.
+    between the samples is to be found.  `climbers` are points (k, 2), and there V, V_dot and
+    the outward normal speed of m; `gap` the lowest and the highest level of the band.
     """
     x, V, V_dot, outward = climbers
     step = 0.5 * function.sigma

@@ -215,15 +215,7 @@ def _outward(margins: Margins) -> list[Violation]:
 
 @dataclass(frozen=True, eq=False)
 class _Places:
-    """The samples at which something speaks against a field.
-
-    Attributes:
-        field: The field.
-        function: V.
-        samples: The field where it was looked at.
-        band: The band on which V decreases; None: there is none.
-        reference: The path.
-    """
+    """The samples at which something speaks against a field; see `Verification`."""
 
     field: GuidingField
     function: LyapunovFunction

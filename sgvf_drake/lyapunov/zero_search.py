@@ -149,13 +149,7 @@ def _left_over(field: PlanarMap, cells: Cells) -> tuple[Cells, BoolArray]:
 def _single_zeros(
     field: PlanarMap, cells: Cells, smooth: BoolArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Returns zeros (k, 2), and whether each cell has one and no other, (n,).
-
-    Args:
-        field: The field.
-        cells: The cells, n of them.
-        smooth: (n,) in which of them to look.
-    """
+    """Returns zeros (k, 2) of the smooth cells, and which cells have one and no other, (n,)."""
     half = ENLARGED * cells.half
     decided = np.zeros(len(cells), bool)
     candidates = np.flatnonzero(smooth)
@@ -188,13 +182,8 @@ def _zero_of_cluster(
     """Returns where |m| is smallest in a cluster of undecided cells, and the index of it all.
 
     None where nothing tells of a zero beside those that were told apart: the index is zero,
-    and |m| cannot be made zero to rounding, or one of those is there.
-
-    Args:
-        field: The field.
-        cells: The cells.
-        points: (k, 2) the zeros that were told apart,
-        indices: (k,) and their indices; those of zeros beside the cells are subtracted.
+    and |m| cannot be made zero to rounding, or one of those is there.  They are `points` (k, 2)
+    with `indices` (k,), which are subtracted where they are beside the cells.
 
     Raises:
         ConfigurationError: The field vanishes on the border around the cells.

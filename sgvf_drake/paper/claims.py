@@ -8,6 +8,7 @@ of its own.
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 import math
 from typing import Any
 
@@ -143,15 +144,11 @@ class Claim:
 
 @dataclass(frozen=True)
 class Finding:
-    """A claim that was judged.
+    """A claim that was judged; what is not named here is as that of the `Claim`.
 
     Attributes:
-        key: As that of the claim.
-        source: As that of the claim.
-        statement: As that of the claim.
         verdict: What its rule says.
         evidence: The figures, as "name: figure; name: figure".
-        of_paper: As that of the claim.
     """
 
     key: str
@@ -174,6 +171,39 @@ def judge(claim: Claim, rows: Rows) -> Finding:
         f"{told}.",
         claim.of_paper,
     )
+
+
+def claims_of_recipes(
+    experiment: str,
+    source: str,
+    recipes: Iterable[str],
+    table: Iterable[tuple[str, str, Callable[[Rows], Figures], str]],
+) -> list[Claim]:
+    """Returns the same claims of each of several recipes, the paper's and ours.
+
+    Args:
+        experiment: The first part of the keys.
+        source: Where the paper says so.
+        recipes: The recipes; the column `recipe` of every row of a trial says which is its.
+        table: Key, statement with {} for the recipe, measure from the rows of one recipe, and
+            the name of the `Count` in it that has to be all.
+    """
+    return [
+        Claim(
+            f"{experiment}-{key}-{recipe}",
+            source,
+            statement.format(f"(recipe {recipe})"),
+            partial(_of_recipe, recipe=recipe, measure=measure),
+            every(counted),
+            of_paper=recipe == "paper",
+        )
+        for recipe in recipes
+        for key, statement, measure, counted in table
+    ]
+
+
+def _of_recipe(rows: Rows, recipe: str, measure: Callable[[Rows], Figures]) -> Figures:
+    return measure({name: own[own["recipe"] == recipe] for name, own in rows.items()})
 
 
 def every(name: str) -> Callable[[Figures], Verdict]:

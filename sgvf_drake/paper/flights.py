@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ from sgvf_drake.experiments.tour import TourResult, fly_tour
 from sgvf_drake.experiments.workbench import Row, Workbench
 from sgvf_drake.fields import load_field
 from sgvf_drake.metrics import REACH_DISTANCE
-from sgvf_drake.paper.claims import Claim, Count, Figures, Rows, Span, every
+from sgvf_drake.paper.claims import Claim, Count, Figures, Rows, Span, claims_of_recipes
 from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
 from sgvf_drake.paper.intervals import interval_columns, over_seeds
 from sgvf_drake.paper.training import trained
@@ -184,18 +183,7 @@ class Flights(Experiment):
         return {recipe: seeds for recipe, seeds in recipes.items() if seeds}
 
     def claims(self) -> Sequence[Claim]:
-        return [
-            Claim(
-                f"flights-{key}-{recipe}",
-                "Section V-B, Fig. 3",
-                f"{statement} (recipe {recipe}).",
-                partial(measure, recipe=recipe),
-                every(counted),
-                of_paper=recipe == "paper",
-            )
-            for recipe in self._recipes()
-            for key, statement, measure, counted in CLAIMS
-        ]
+        return claims_of_recipes("flights", "Section V-B, Fig. 3", self._recipes(), CLAIMS)
 
     def figures(self, rows: Rows) -> Sequence[Exhibit]:
         """Draws the first flight of each shape and recipe that has one."""
@@ -326,9 +314,9 @@ def outcome(flight: Mapping[Any, Any]) -> str:
 FOLLOWED, SMOOTH = "flights that followed all of their pieces", "smooth flights"
 
 
-def _measure_branches(rows: Rows, recipe: str) -> Figures:
+def _measure_branches(rows: Rows) -> Figures:
     """Counts the flights along all pieces; tells how near they were, and of the others."""
-    flights = _of_recipe(rows, recipe)
+    flights = rows["flights"]
     outcomes = [outcome(flight) for flight in flights.to_dict("records")]
     follows = np.array(outcomes) == "completed"
     found: dict[str, Any] = {FOLLOWED: Count.of(follows)}
@@ -344,9 +332,9 @@ def _measure_branches(rows: Rows, recipe: str) -> Figures:
     return found | ({"the others": ", ".join(others)} if others else {})
 
 
-def _measure_smooth(rows: Rows, recipe: str) -> Figures:
+def _measure_smooth(rows: Rows) -> Figures:
     """Counts the flights whose velocity and forces stay within bounds, without jumps."""
-    flights = _of_recipe(rows, recipe)
+    flights = rows["flights"]
     # All is NaN of a flight that lost control, which compares with nothing.
     figures = flights.reindex(columns=MOTION).astype(float)
     by_speed = figures.div(flights["speed"], axis=0)
@@ -369,18 +357,18 @@ def _measure_smooth(rows: Rows, recipe: str) -> Figures:
     return found
 
 
-def _of_recipe(rows: Rows, recipe: str) -> pd.DataFrame:
-    flights = rows["flights"]
-    return flights[flights["recipe"] == recipe]
-
-
 CLAIMS = (
     (
         "branches",
-        "One field lets a quadrotor follow several branches in turn",
+        "One field lets a quadrotor follow several branches in turn {}.",
         _measure_branches,
         FOLLOWED,
     ),
-    ("smooth", "Velocity and motor inputs remain smooth and bounded", _measure_smooth, SMOOTH),
+    (
+        "smooth",
+        "Velocity and motor inputs remain smooth and bounded {}.",
+        _measure_smooth,
+        SMOOTH,
+    ),
 )
-"""Key, statement, measure and the figure that has to be all, for each recipe."""
+"""What is claimed of each recipe; see `claims_of_recipes`."""

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from itertools import cycle
 from pathlib import Path
 
@@ -18,7 +17,16 @@ from sgvf_drake.experiments.quality.measures import following, measure_score
 from sgvf_drake.experiments.workbench import Row, Workbench
 from sgvf_drake.fields import ScoreField, TangentField, load_field
 from sgvf_drake.metrics import default_duration
-from sgvf_drake.paper.claims import Claim, Count, Figures, Mean, Rows, Share, Span, every
+from sgvf_drake.paper.claims import (
+    Claim,
+    Count,
+    Figures,
+    Mean,
+    Rows,
+    Share,
+    Span,
+    claims_of_recipes,
+)
 from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
 from sgvf_drake.paper.intervals import (
     SHARE,
@@ -175,18 +183,7 @@ class Overview(Experiment):
         return {"fields": run_trials(bench, measure_overview, trials, "overview")}
 
     def claims(self) -> Sequence[Claim]:
-        return [
-            Claim(
-                f"overview-{key}-{recipe}",
-                "Section V-A, Fig. 2",
-                statement.format(f"(recipe {recipe})"),
-                partial(measure, recipe=recipe),
-                every(counted),
-                of_paper=recipe == "paper",
-            )
-            for recipe in self.recipes
-            for key, statement, measure, counted in CLAIMS
-        ]
+        return claims_of_recipes("overview", "Section V-A, Fig. 2", self.recipes, CLAIMS)
 
     def figures(self, rows: Rows) -> Sequence[Exhibit]:
         fields = rows["fields"]
@@ -281,9 +278,9 @@ def _draw_agents(axes: Axes, agents: FloatArray) -> None:
 SHOWN, RESTED, TRACKED = "fields that show it", "trainings at rest", "fields followed"
 
 
-def _measure_score(rows: Rows, recipe: str) -> Figures:
-    """Compares the scores of a recipe with the exact one, near the path."""
-    fields = _of_recipe(rows, recipe)
+def _measure_score(rows: Rows) -> Figures:
+    """Compares the scores with the exact one, near the path."""
+    fields = rows["fields"]
     mean, low = fields["score_cosine"], fields["score_cosine_p5"]
     return {
         SHOWN: Count.of((mean >= MEAN_COSINE) & (low >= LOW_COSINE)),
@@ -292,9 +289,9 @@ def _measure_score(rows: Rows, recipe: str) -> Figures:
     }
 
 
-def _measure_losses(rows: Rows, recipe: str) -> Figures:
+def _measure_losses(rows: Rows) -> Figures:
     """Counts the trainings whose total tangent loss fell, came to rest, and was stable."""
-    totals = [losses["total"] for losses in _of_recipe(rows, recipe)["losses"]]
+    totals = [losses["total"] for losses in rows["fields"]["losses"]]
     return {
         RESTED: Count.of(map(converged, totals)),
         "total in the first tenth": Span.of(total["begin"] for total in totals),
@@ -303,9 +300,9 @@ def _measure_losses(rows: Rows, recipe: str) -> Figures:
     }
 
 
-def _measure_tracking(rows: Rows, recipe: str) -> Figures:
+def _measure_tracking(rows: Rows) -> Figures:
     """Counts the fields in which all starts lap, on all pieces."""
-    fields = _of_recipe(rows, recipe)
+    fields = rows["fields"]
     count = Count.of(followed(fields))
     share = fraction_interval(count.good, count.all)
     return {
@@ -313,11 +310,6 @@ def _measure_tracking(rows: Rows, recipe: str) -> Figures:
         "share of the fields": Mean(*share, percent=True),
         "starts that lap in the worst field": Share(fields["lap"].min()),
     }
-
-
-def _of_recipe(rows: Rows, recipe: str) -> pd.DataFrame:
-    fields = rows["fields"]
-    return fields[fields["recipe"] == recipe]
 
 
 CLAIMS = (
@@ -336,4 +328,4 @@ CLAIMS = (
         TRACKED,
     ),
 )
-"""Key, statement, measure and the figure that has to be all, for each recipe."""
+"""What is claimed of each recipe; see `claims_of_recipes`."""

@@ -28,7 +28,7 @@ from sgvf_drake.fields import GuidingField, ScoreField, load_field
 from sgvf_drake.lyapunov import NEAR_PATH, Singularities, find_singularities, measure_vanishing
 from sgvf_drake.paper.claims import Claim, Count, Figures, Rows, Verdict, every
 from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
-from sgvf_drake.paper.intervals import interval_columns
+from sgvf_drake.paper.intervals import interval_columns, over_seeds
 from sgvf_drake.paper.parametric import ParametricTrial, measure_parametric, plot_helices
 from sgvf_drake.paper.training import trained
 from sgvf_drake.paths import ReferencePath, make_shape
@@ -147,11 +147,7 @@ class ScoreVanishing(Experiment):
         return CLAIMS
 
     def tables(self, rows: Rows) -> Sequence[Exhibit]:
-        counts, places = [], []
-        for (shape, recipe), own in fields_of(rows).groupby(["shape", "recipe"], sort=False):
-            case = {"shape": shape, "score": recipe}
-            counts.append(case | _counts(own))
-            places.append(case | _places(own))
+        fields, by = fields_of(rows).rename(columns={"recipe": "score"}), ("shape", "score")
         zeros = _robust(zeros_of(rows, "guiding"))["shape"]
         pieces = [
             {
@@ -167,8 +163,8 @@ class ScoreVanishing(Experiment):
             for number, piece in enumerate(trial["pieces"], start=1)
         ]
         return [
-            Exhibit("vanishing_counts", COUNTS_CAPTION, pd.DataFrame(counts)),
-            Exhibit("vanishing_places", WHERE_CAPTION, pd.DataFrame(places)),
+            Exhibit("vanishing_counts", COUNTS_CAPTION, over_seeds(fields, by, _counts)),
+            Exhibit("vanishing_places", WHERE_CAPTION, over_seeds(fields, by, _places)),
             Exhibit("singularity_free", PARAMETRIC_CAPTION, pd.DataFrame(pieces)),
         ]
 
@@ -333,7 +329,7 @@ def _as_topology(fields: pd.DataFrame) -> Count:
 def _places(fields: pd.DataFrame) -> Row:
     """Returns whether the zeros of a shape and recipe keep to low density, or to bends."""
     # Only the robust recipe has a tangent here, and so a path that m follows.
-    followed = fields["recipe"].iloc[0] == "robust"
+    followed = fields["score"].iloc[0] == "robust"
     least = fields["guiding_min_at_score_zeros_on_path"].min() if followed else None
     return {
         **{label: _chance(fields[name]) for name, label in COMPARISONS.items()},
