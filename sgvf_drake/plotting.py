@@ -23,6 +23,8 @@ MAX_TRAJECTORIES = 60
 FEW_WAYPOINTS = 400
 # The smallest cross-track error that is drawn, relative to the largest.
 ERROR_FLOOR = 1e-4
+# Of lengths, where only the waypoints tell.
+UNIT = "unit of the waypoints"
 # File size and sharpness of every saved figure.
 DPI = 150
 

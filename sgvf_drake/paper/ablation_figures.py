@@ -26,7 +26,6 @@ from sgvf_drake.paths import ReferencePath, shape_path
 ENDS, LAPPED = "ends", "followed"
 # Arrows along each side of a field.
 ARROWS = 23
-UNIT = "unit of the waypoints"
 SOURCE, SINK, STOPPED = "^", "v", "o"
 # How far apart groups and seeds are drawn beside a tick, in ticks.
 GROUP_OFFSET, SEED_OFFSET = 0.3, 0.07
@@ -66,9 +65,11 @@ def variants_figure(
         for trained, panel in zip(own.to_dict("records"), panels, strict=False):
             stem, reference = trained[FOLDER] / trained["variant"], shape_path(trained["shape"])
             arrows = _draw_field(panel, stem, reference, DRAWN[symbol], span)
-            plotting.plane_axes(panel, UNIT, names[trained["variant"]] if row == 0 else "")
+            plotting.plane_axes(
+                panel, plotting.UNIT, names[trained["variant"]] if row == 0 else ""
+            )
             panel.label_outer()
-        axes[row * columns].set_ylabel(f"{label}\ny [{UNIT}]")
+        axes[row * columns].set_ylabel(f"{label}\ny [{plotting.UNIT}]")
     figure.colorbar(arrows, ax=axes, label=f"$|{symbol}|$", extend="both", pad=0.01)
     plotting.legend_below(figure, _marks(symbol))
     return figure

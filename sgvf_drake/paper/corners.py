@@ -84,7 +84,6 @@ TRAPS_CAPTION = (
     "corners and about the middle of sides, means over them."
 )
 
-UNIT = "unit of the waypoints"
 # Half the side of the window about a corner, U, and its pixels.
 WINDOW, PIXELS = 0.6, 161
 # The colours of |m|, and between which values.
@@ -488,7 +487,7 @@ def corners_figure(views: Sequence[View]) -> Figure:
         final = view.positions[-1, stalled]
         panel.plot(*final.T, "X", color="black", markersize=9, markeredgecolor="white")
         title = f"{view.title}: {lapped.mean():.0%} lap, {stalled.mean():.0%} stall"
-        plotting.plane_axes(panel, UNIT, title)
+        plotting.plane_axes(panel, plotting.UNIT, title)
     marks = [
         Line2D([], [], color=plotting.BLUE, label="agent that laps"),
         Line2D([], [], color=plotting.RED, label="agent that does not"),
@@ -529,7 +528,7 @@ def _plot_corner(axes: Axes, view: View) -> None:
     stable = np.array(view.found["zeros_stable"], bool)
     for chosen, marker in ((stable, "v"), (~stable, "o")):
         axes.plot(*zeros[chosen].T, marker, color="white", mec="black", markersize=11)
-    plotting.plane_axes(axes, UNIT, view.title)
+    plotting.plane_axes(axes, plotting.UNIT, view.title)
     axes.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
 
 

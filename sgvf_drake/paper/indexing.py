@@ -12,7 +12,6 @@ import numpy as np
 import pandas as pd
 
 from sgvf_drake import plotting
-from sgvf_drake.experiments.follow import PATIENCE, follow
 from sgvf_drake.experiments.workbench import Row, Workbench
 from sgvf_drake.fields import (
     FloatArray,
@@ -23,17 +22,12 @@ from sgvf_drake.fields import (
     load_field,
 )
 from sgvf_drake.fields.classical import Curve
-from sgvf_drake.metrics import (
-    REACH_DISTANCE,
-    SETTLE_DISTANCE,
-    default_duration,
-    grid_starts,
-)
+from sgvf_drake.metrics import REACH_DISTANCE, SETTLE_DISTANCE, grid_starts
 from sgvf_drake.paper.baselines import (
     BaselineTrial,
     draw_trajectories,
+    follow_case,
     measure_baseline,
-    save_trajectories,
 )
 from sgvf_drake.paper.claims import (
     Claim,
@@ -50,7 +44,7 @@ from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
 from sgvf_drake.paper.intervals import SHARE, interval_columns, over_seeds
 from sgvf_drake.paper.methods import CASES, make_case
 from sgvf_drake.paper.training import trained
-from sgvf_drake.paper.ways import coverage, find_ways
+from sgvf_drake.paper.ways import coverage
 from sgvf_drake.paths import PointCloud, ReferencePath
 
 FIELD = "field.safetensors"
@@ -148,12 +142,8 @@ def measure_learned(trial: LearnedTrial, folder: Path) -> Row:
     cloud, path = make_case(CASES[trial.case], trial.seed)
     # One attempt: at a fork, the self-check finds a fault in whatever was trained.
     field = trained(cloud, trial.recipe, trial.seed, max_restarts=0).field
-    unit = cloud.unit_length
-    duration = PATIENCE.get(trial.recipe, 1.0) * default_duration(path, unit)
-    run = follow(field, path, trial.starts, duration)
-    ways = find_ways(run, path, unit)
     field.save(folder / FIELD)
-    save_trajectories(folder, cloud, run, ways)
+    run, ways = follow_case(field, path, trial.recipe, trial.starts, folder)
     return {"success": float(ways.good.mean()), "coverage": coverage(run, ways, cloud)}
 
 

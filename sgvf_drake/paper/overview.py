@@ -261,7 +261,7 @@ def overview_figure(folders: Mapping[str, Path]) -> Figure:
         ):
             plotting.plot_field(each, part, field.cloud.box)
             plotting.plot_waypoints(each, field.cloud.points)
-            plotting.plane_axes(each, "unit of the waypoints", f"{recipe}: {title}")
+            plotting.plane_axes(each, plotting.UNIT, f"{recipe}: {title}")
         plotting.plot_losses(losses, history[history["stage"] == "tangent"])
         losses.set_title(f"{recipe}: losses of v")
         _draw_agents(plane, np.load(folder / AGENTS))

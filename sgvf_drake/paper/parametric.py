@@ -10,7 +10,6 @@ from scipy.optimize import minimize
 
 from sgvf_drake import plotting
 from sgvf_drake.arrays import FloatArray, plane_grid
-from sgvf_drake.experiments.figures.singularities import UNIT
 from sgvf_drake.experiments.simulation import simulate_agents
 from sgvf_drake.experiments.workbench import Row
 from sgvf_drake.fields import FourierCurve, ParametricField
@@ -143,8 +142,8 @@ def plot_helices(axes: Any, trial: pd.Series) -> None:
         axes.plot(*points.T, w * unit, color=color, linewidth=2.2, label=label, zorder=3)
     axes.view_init(ELEVATION, AZIMUTH)
     axes.set(
-        xlabel=f"x [{UNIT}]",
-        ylabel=f"y [{UNIT}]",
+        xlabel=f"x [{plotting.UNIT}]",
+        ylabel=f"y [{plotting.UNIT}]",
         zlabel="parameter w",
         title="(d) the path in one more dimension, and agents",
     )

@@ -17,7 +17,6 @@ from sgvf_drake import plotting
 from sgvf_drake.arrays import BoolArray
 from sgvf_drake.experiments.figures.singularities import (
     MARKS,
-    UNIT,
     plot_density_map,
     plot_density_surface,
     plot_zeros,
@@ -513,7 +512,9 @@ def vanishing_figure(field: GuidingField, found: Singularities, around: pd.Serie
         "waypoints": plotting.plot_waypoints(score, field.cloud.points)[0]
     }
     marks |= plot_zeros(score, found.score)
-    plotting.plane_axes(score, UNIT, f"(a) learned score, {len(found.score.zeros)} zeros")
+    plotting.plane_axes(
+        score, plotting.UNIT, f"(a) learned score, {len(found.score.zeros)} zeros"
+    )
     above = figure.add_subplot(2, 2, 2)
     both = plot_density_map(above, field, found)[-2:]
     above.set_title("(b) log-density from above")

@@ -77,7 +77,7 @@ def _plot_map(
         axes.plot(x[0], y[0], "o", color=color_of(flight), markersize=5)
     if found.counterexample is not None:
         axes.plot(*found.counterexample, "X", color=plotting.RED, markersize=9)
-    plotting.plane_axes(axes, "unit of the waypoints")
+    plotting.plane_axes(axes, plotting.UNIT)
     axes.set(xlim=(box[0][0], box[1][0]), ylim=(box[0][1], box[1][1]))
 
 

@@ -29,7 +29,6 @@ GUIDING_MARK = ("X", plotting.RED, "white")
 # Of more zeros than this, markers are drawn smaller; their sizes, in square points.
 FEW_ZEROS = 60
 LARGE, SMALL = 64.0, 20.0
-UNIT = "unit of the waypoints"
 # Points along each axis of the map and of the surface of the log-density.
 MAP_SIZE, SURFACE_SIZE = 301, 161
 # Both end at this percentile of the box, since the density falls for ever.
@@ -54,7 +53,7 @@ def singularity_figure(field: GuidingField, found: Singularities) -> Figure:
         marks["waypoints"] = plotting.plot_waypoints(panel, field.cloud.points)[0]
         marks |= plot_zeros(panel, zeros)
         title = f"{name}: {_count(zeros)}, sum of indices {zeros.index_sum}"
-        plotting.plane_axes(panel, UNIT, title)
+        plotting.plane_axes(panel, plotting.UNIT, title)
     shown = [name for name in ("waypoints", *MARKS) if name in marks]
     plotting.legend_below(figure, [marks[name] for name in shown], shown, 8)
     return figure
@@ -89,7 +88,7 @@ def plot_density_map(axes: Axes, field: GuidingField, found: Singularities) -> S
     axes.figure.colorbar(
         image, ax=axes, label="log p, 0 at its largest", extend="min", shrink=0.8
     )
-    plotting.plane_axes(axes, UNIT, "log-density from above")
+    plotting.plane_axes(axes, plotting.UNIT, "log-density from above")
     return [image, *_mark_both(axes, found.score.points, found.guiding.points)]
 
 
@@ -118,7 +117,11 @@ def plot_density_surface(
     artists += _mark_both(axes, *raised)
     axes.view_init(ELEVATION, AZIMUTH)
     axes.set_box_aspect(PROPORTIONS, zoom=1.1)
-    axes.set(xlabel=f"x [{UNIT}]", ylabel=f"y [{UNIT}]", title="log-density as a surface")
+    axes.set(
+        xlabel=f"x [{plotting.UNIT}]",
+        ylabel=f"y [{plotting.UNIT}]",
+        title="log-density as a surface",
+    )
     # The colour bar of the map tells the height better than an axis seen from above.
     axes.set_zticks([])
     return artists

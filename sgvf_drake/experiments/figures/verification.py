@@ -57,17 +57,16 @@ LEVEL_COLORS = (plotting.BLUE, plotting.ORANGE, plotting.GREEN, plotting.RED)
 def verification_figure(field: GuidingField, found: Verification) -> Figure:
     """Returns maps of V_dot and the bounds, the tube from near, and the flow by level of V."""
     figure, (box, near, profile, bounds) = plotting.new_figure(2, 2, 12.5, 11.5)
-    unit = "unit of the waypoints"
     _draw_decrease(box, field, found)
     title = "holds" if found.holds else "does NOT hold"
-    plotting.plane_axes(box, unit, f"where V falls along m (sampled): {title}")
+    plotting.plane_axes(box, plotting.UNIT, f"where V falls along m (sampled): {title}")
     _draw_tube(near, field, found)
     place = "the weakest place of the tube" if found.holds else "the first violation"
-    plotting.plane_axes(near, unit, f"{place} from near, and m")
+    plotting.plane_axes(near, plotting.UNIT, f"{place} from near, and m")
     _draw_profile(profile, found)
     _draw_bounds(bounds, found)
     title = "where the bounds on the paper's V_dot and the true one hold"
-    plotting.plane_axes(bounds, unit, title)
+    plotting.plane_axes(bounds, plotting.UNIT, title)
     box.legend(handles=_handles(found), **BELOW)
     return figure
 
