@@ -162,13 +162,8 @@ def critical_levels(
 ) -> FloatArray:
     """Returns the levels of the critical points of V in the box, at which V_dot is zero.
 
-    They are found from the local minima of |grad V| on the grid by Newton's method; V falls
-    fast so near to them that samples miss them.
-
-    Args:
-        function: V.
-        samples: Whose grid is searched.
-        slope: |grad V| on that grid, (ky, kx).
+    They are found by Newton's method from the local minima of the `slope` |grad V| (ky, kx) on
+    the grid of the samples; V falls fast so near to them that samples miss them.
     """
     lowest = slope == ndimage.minimum_filter(slope, size=3)
     x = samples.x[samples.on_grid][lowest.ravel()]

@@ -24,8 +24,8 @@ from sgvf_drake.paths import ReferencePath, shape_path
 
 # In the file of a run: (n, 2) the last positions of its agents, (n,) whether each lapped.
 ENDS, LAPPED = "ends", "followed"
-# Arrows along each side of a field.
-ARROWS = 23
+# Arrows along each side of a field, and measures in a row.
+ARROWS, COLUMNS = 23, 3
 SOURCE, SINK, STOPPED = "^", "v", "o"
 # How far apart groups and seeds are drawn beside a tick, in ticks.
 GROUP_OFFSET, SEED_OFFSET = 0.3, 0.07
@@ -150,7 +150,6 @@ def measures_figure(
     panels: Sequence[MeasurePanel],
     group: str,
     names: Mapping[str, str],
-    columns: int = 3,
 ) -> Figure:
     """Returns measures over the variants: every seed, and means with 95 % intervals.
 
@@ -159,10 +158,9 @@ def measures_figure(
         panels: The measures.
         group: The column that tells the colours apart.
         names: What each variant is called, in the order of the axis.
-        columns: Panels in a row.
     """
-    rows = -(-len(panels) // columns)
-    figure, axes = plotting.new_figure(rows, columns, 3.8 * columns, 3.0 * rows + 0.6)
+    rows = -(-len(panels) // COLUMNS)
+    figure, axes = plotting.new_figure(rows, COLUMNS, 3.8 * COLUMNS, 3.0 * rows + 0.6)
     groups = list(table.groupby(group, sort=False))
     for panel, own in zip(panels, axes, strict=False):
         for number, (name, fields) in enumerate(groups):

@@ -112,14 +112,9 @@ def _tangents(piece: Piece, arc: FloatArray, step: float) -> FloatArray:
 def directions(
     samples: PathSamples, vectors: FloatArray, unit_length: float
 ) -> list[PieceDirection]:
-    """Returns which way a field runs along each piece.
+    """Returns which way a field, given at n samples as (n, d), runs along each piece.
 
     Stretches shorter than `SHORTEST` count as their surroundings.
-
-    Args:
-        samples: The path.
-        vectors: (n, d) the field at the samples.
-        unit_length: U.
     """
     along = (vectors * samples.tangents).sum(axis=1)
     found = []
@@ -184,12 +179,7 @@ def direction_row(pieces: Sequence[PieceDirection]) -> Row:
 
 
 def lengths_row(field: GuidingField, reference: ReferencePath, samples: PathSamples) -> Row:
-    """Measures how long v and m are, on the path and over the box.
-
-    Args:
-        field: The field, planar.
-        reference: The true path.
-        samples: Samples of the path.
+    """Measures how long v and m of a planar field are, on its true path and over the box.
 
     Returns:
         v_path, v_path_min, v_path_max, and the same of m: mean and extremes on the path;
@@ -229,7 +219,7 @@ def _extremes(name: str, values: FloatArray) -> Row:
 
 
 def drift_row(field: GuidingField, reference: ReferencePath, samples: PathSamples) -> Row:
-    """Measures whether v leads along the path or off it; arguments as of `lengths_row`.
+    """Measures whether v leads along the path or off it.
 
     Returns:
         beside_cosine: mean |cos(s, v)| at distances `BESIDE` from the path; outward: the

@@ -23,8 +23,17 @@ from sgvf_drake.experiments.workbench import Row, Workbench
 from sgvf_drake.fields import GuidingField, ScoreNetwork, load_field
 from sgvf_drake.lyapunov import find_guiding_zeros
 from sgvf_drake.metrics import default_duration
-from sgvf_drake.paper import claims
-from sgvf_drake.paper.claims import Claim, Count, Figures, Mean, Rows, Share, Span, Verdict
+from sgvf_drake.paper.claims import (
+    Claim,
+    Count,
+    Figures,
+    Mean,
+    Rows,
+    Share,
+    Span,
+    Verdict,
+    every,
+)
 from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
 from sgvf_drake.paper.intervals import SHARE, interval, interval_columns, over_seeds
 from sgvf_drake.paper.training import trained
@@ -446,7 +455,7 @@ CLAIMS = (
         SECTION,
         "The traps of shallow networks are local attractors of the tangent field.",
         _tangent,
-        claims.every(f"below {SMALL}"),
+        every(f"below {SMALL}"),
     ),
 )
 

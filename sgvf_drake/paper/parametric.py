@@ -119,12 +119,7 @@ def flow(field: ParametricField) -> FloatArray:
 
 
 def plot_helices(axes: Any, trial: pd.Series) -> None:
-    """Draws curves over their parameter w, and agents that follow them.
-
-    Args:
-        axes: Axes in 3-D.
-        trial: A row of `measure_parametric`, with its folder.
-    """
+    """Draws into axes in 3-D the curves of a trial over their parameter w, and its agents."""
     fields = parametric_fields(trial["shape"], trial["num_points"])
     with np.load(trial[FOLDER] / STATES) as stored:
         flows = [stored[name] for name in sorted(stored.files)]

@@ -500,10 +500,7 @@ CLAIMS = (
 def vanishing_figure(field: GuidingField, found: Singularities, around: pd.Series) -> Figure:
     """Returns the score with its zeros, the log-density twice, and the field beyond (Fig. 5).
 
-    Args:
-        field: The learned field.
-        found: Its singularities.
-        around: The trial of the fields in one more dimension around the same shape.
+    The last is of the trial of the fields in one more dimension `around` the same shape.
     """
     figure = Figure(figsize=(12.5, 11.5), layout="constrained")
     score = figure.add_subplot(2, 2, 1)
