@@ -28,14 +28,6 @@ class Verdict(StrEnum):
     FAILS = "does not hold"
 
     @classmethod
-    def of(cls, outcomes: Iterable[bool]) -> "Verdict":
-        """Holds where every outcome is good, in part where some are, else not."""
-        good = list(outcomes)
-        if good and all(good):
-            return cls.HOLDS
-        return cls.PARTLY if any(good) else cls.FAILS
-
-    @classmethod
     def when(cls, holds: bool, partly: bool = False) -> "Verdict":
         """Holds under the first condition, in part under the second, else not."""
         return cls.HOLDS if holds else cls.PARTLY if partly else cls.FAILS
@@ -206,24 +198,22 @@ def _of_recipe(rows: Rows, recipe: str, measure: Callable[[Rows], Figures]) -> F
     return measure({name: own[own["recipe"] == recipe] for name, own in rows.items()})
 
 
-def every(name: str) -> Callable[[Figures], Verdict]:
-    """Returns the rule that all of a `Count` are good; in part: some."""
+def every(*names: str) -> Callable[[Figures], Verdict]:
+    """Returns the rule that all of each `Count` are good; in part: some of any.
+
+    Args:
+        names: The counts; none: all of them.
+    """
 
     def rule(figures: Figures) -> Verdict:
-        count = figures[name]
-        assert isinstance(count, Count)
-        return Verdict.when(0 < count.good == count.all, count.good > 0)
+        chosen = (figures[name] for name in names or figures)
+        counts = [figure for figure in chosen if isinstance(figure, Count)]
+        return Verdict.when(
+            bool(counts) and all(0 < count.good == count.all for count in counts),
+            any(count.good > 0 for count in counts),
+        )
 
     return rule
-
-
-def every_of_all(figures: Figures) -> Verdict:
-    """Is the rule that all of all counts are good; in part: some of any."""
-    counts = [figure for figure in figures.values() if isinstance(figure, Count)]
-    return Verdict.when(
-        all(0 < count.good == count.all for count in counts),
-        any(count.good > 0 for count in counts),
-    )
 
 
 def _text(figure: Figure) -> str:
