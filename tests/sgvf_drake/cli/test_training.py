@@ -6,8 +6,8 @@ import pandas as pd
 import pytest
 
 from sgvf_drake import PointCloud, load_field
-from sgvf_drake.cli.training import DirectionName
-from sgvf_drake.experiments import figures
+from sgvf_drake.cli import training
+from sgvf_drake.experiments.figures import runs as figures
 from sgvf_drake.learning.direction import DIRECTIONS
 from sgvf_drake.paths import make_shape
 from tests.helpers import circle, ink, names_in, summary_of
@@ -175,7 +175,7 @@ def test_each_piece_has_its_direction(quick):
     assert turning(field, 1.0).mean() < -0.8
     summary, _ = quick(*named[:3], "--direction", "reverse, ccw")
     assert summary["direction"] == ["reverse", "ccw"]
-    assert set(DirectionName) == set(DIRECTIONS)
+    assert set(training.DIRECTIONS) == set(DIRECTIONS)
 
 
 def test_shapes_are_listed_and_sampled_as_asked(run, inputs, quick, tmp_path, capsys):

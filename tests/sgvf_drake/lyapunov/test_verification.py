@@ -153,8 +153,8 @@ def test_a_trained_field_holds(robust_field, concentric):
     assert sorted(c.pieces for c in found.band.tube.components) == [(0,), (1,)]
     assert found.band.tube.half_width < 0.1
     assert found.slowest > 0.98
-    assert found.assumptions.cosine.mean < 0.05
-    assert found.assumptions.score_curl < 0.1
+    assert found.assumptions["a2_cosine"]["mean"] < 0.05
+    assert found.assumptions["a1_score_curl"] < 0.1
     assert found.bounds[1].holds.all()
 
 
