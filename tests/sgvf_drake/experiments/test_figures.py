@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from sgvf_drake import plotting
 from sgvf_drake.experiments import fly_tour
 from sgvf_drake.experiments.figures import runs as figures
 
