@@ -66,11 +66,13 @@ class Graph:
         places: The place of each node, (d,).
         strands: What joins them.
         through: For each arm that goes straight through a crossing, the arm it goes on with.
+        exact_ends: Ends that are where a path was cut, not where its ridge ends.
     """
 
     places: dict[int, FloatArray]
     strands: dict[int, Strand]
     through: dict[Arm, Arm] = field(default_factory=dict)
+    exact_ends: set[int] = field(default_factory=set)
 
     def arms(self, node: int) -> list[Arm]:
         """The arms of a node."""
@@ -93,6 +95,33 @@ class Graph:
         """The polyline of an arm from its node on, (n, d)."""
         path = self.strands[arm[0]].path
         return path if arm[1] == 0 else path[::-1]
+
+    def join(self, a: int, b: int, via: FloatArray | None = None) -> None:
+        """Joins two ends of paths by a line through points (n, d); they are nodes no more."""
+        line = [self.places[a], *([] if via is None else via), self.places[b]]
+        self.strands[1 + max(self.strands)] = Strand(np.array(line), [a, b])
+        dissolve(self)
+
+    def cut(self, k: int, before: FloatArray, after: FloatArray) -> None:
+        """Cuts a strand between two places along it, (d,) each, which become ends."""
+        strand = self.strands.pop(k)
+        first, second = 1 + max(self.places, default=-1), 2 + max(self.places, default=-1)
+        self.places |= {first: before, second: after}
+        self.exact_ends |= {first, second}
+        i, j = (int(np.linalg.norm(strand.path - p, axis=1).argmin()) for p in (before, after))
+        if strand.ends is None:
+            loop = strand.path[:-1]
+            kept = np.roll(loop, -j, axis=0)[1 : (i - j - 1) % len(loop) + 1]
+            self.strands[k] = Strand(np.vstack([after, kept, before]), [second, first])
+            return
+        start, end = strand.ends
+        other = 1 + max([k, *self.strands])
+        self.strands[k] = Strand(np.vstack([strand.path[:i], before]), [start, first])
+        self.strands[other] = Strand(np.vstack([after, strand.path[j + 1 :]]), [second, end])
+        # The far arm belongs to the new strand now.
+        if (k, 1) in self.through:
+            onward = self.through.pop((k, 1))
+            self.through[other, 1], self.through[onward] = onward, (other, 1)
 
     @property
     def signature(self) -> "Signature":
@@ -132,12 +161,17 @@ class Signature:
     junctions: tuple[int, ...]
     crossings: tuple[int, ...]
 
+    @property
+    def complexity(self) -> int:
+        """What noise adds: ends and junctions, those with an odd number of arms above all."""
+        return self.ends + sum(1 + degree % 2 for degree in self.junctions)
+
 
 def assemble(skeleton: Skeleton, sigma: float) -> Graph:
     """Builds the graph of a skeleton whose scale is `sigma`."""
     graph = _contracted(skeleton, sigma)
     _merge_overlaps(graph, sigma)
-    _dissolve(graph)
+    dissolve(graph)
     _pair_arms(graph, sigma)
     return graph
 
@@ -219,7 +253,7 @@ def _contract(graph: Graph, link: int) -> None:
             strand.ends = [kept if node == gone else node for node in strand.ends]
 
 
-def _dissolve(graph: Graph) -> None:
+def dissolve(graph: Graph) -> None:
     """Joins the two strands of nodes that turned out to have two arms only."""
     for node in list(graph.places):
         arms = graph.arms(node)

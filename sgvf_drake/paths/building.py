@@ -40,7 +40,7 @@ def number(
         courses: Where they run.
         weights: How many waypoints each point of the courses counts for.
     """
-    piece_of = _pieces(graph, routes, courses)
+    piece_of = piece_of_strands(graph, routes, courses)
     places = _places(graph, routes, courses)
     degrees = {node: len(arms) for node, arms in graph.all_arms().items()}
     crossings = {graph.node(arm) for arm in graph.through}
@@ -83,7 +83,7 @@ def number(
     return nodes, tuple(edges[k] for k in numbered), tuple(found)
 
 
-def _pieces(
+def piece_of_strands(
     graph: Graph, routes: Sequence[Chain], courses: Sequence[Course]
 ) -> dict[int, int]:
     """The number of the piece of each strand."""

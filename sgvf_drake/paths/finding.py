@@ -7,8 +7,8 @@ ways differ, the network is returned all the same, and says that it is unsure.
 """
 
 from collections import defaultdict
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import QhullError, cKDTree
@@ -16,12 +16,10 @@ from scipy.spatial import QhullError, cKDTree
 from sgvf_drake.arrays import FloatArray
 from sgvf_drake.exceptions import PointCloudError
 from sgvf_drake.paths.assembly import Graph, Signature, assemble
-from sgvf_drake.paths.building import number
-from sgvf_drake.paths.geometry import chains, fit_courses, place_nodes
+from sgvf_drake.paths.draft import Direction, Draft
 from sgvf_drake.paths.loops import count_loops
 from sgvf_drake.paths.network import PathNetwork
 from sgvf_drake.paths.point_cloud import PointCloud
-from sgvf_drake.paths.reference import Piece
 from sgvf_drake.paths.ridge import THINNING_CELL, find_ridge, thin
 from sgvf_drake.paths.skeleton import grow_skeleton
 
@@ -47,6 +45,14 @@ NEARLY_MOST_VOTES = 0.6
 """The finest topology with this share of the most votes is taken."""
 
 
+FEW_VOTES = 2
+"""With no more votes than this, the scales do not tell, and the simplest topology is taken."""
+
+LEAST_SHARE, LEAST_SHARE_ALONE = 0.2, 0.36
+"""A topology is sure if this share of the scales shows it, and persistence has as many loops; or
+if this share shows it in space, where there is no second opinion."""
+
+
 @dataclass(frozen=True, eq=False)
 class Scale:
     """What the ridge shows at one scale."""
@@ -55,31 +61,49 @@ class Scale:
     graph: Graph
     dropped: float
 
-    @property
-    def signature(self) -> Signature:
-        return self.graph.signature
 
+def find_paths(
+    cloud: PointCloud,
+    *,
+    sigma: float | None = None,
+    closed: bool | None = None,
+    passes: bool = False,
+    direction: Direction | Sequence[Direction | None] | None = None,
+    start: FloatArray | None = None,
+) -> PathNetwork:
+    """Finds the network of paths in a cloud, in the plane or in space.
 
-def find_paths(cloud: PointCloud, *, sigma: float | None = None) -> PathNetwork:
-    """Finds the network of paths in a cloud, in any order and dimension.
+    The order of the points never decides what is found, but where they were recorded along
+    the path it tells its direction, where a recording ends, and that it goes on from one row
+    to the next.  What was used is told in the messages of the network.
 
     Args:
         cloud: The waypoints.
         sigma: The scale in U at which to look; None: the scales vote.
+        closed: Whether pieces that are one path are closed, or have ends; None: as they look.
+        passes: Whether all waypoints are passes of one path, whose spread is scatter.
+        direction: Of pieces that are one path, for all or one for each, the longest first:
+            "ccw", "cw" or "reverse"; None: by the start, the velocities, the order of the
+            points, or else counter-clockwise, and open ones from the end with the smaller x.
+        start: (d,) in the unit of the waypoints: open paths start at the end nearer to it.
 
     Raises:
         PointCloudError: If no path is found.
+        ConfigurationError: If the direction or the start does not fit what was found.
     """
-    # The result does not depend on the order of the points, not even in its last digit.
-    order = np.lexsort(cloud.points.T[::-1])
-    points = cloud.normalize(cloud.points[order])
+    # The topology does not depend on the order of the points, not even in its last digit.
+    points = cloud.normalize(cloud.points)
+    points = points[np.lexsort(points.T[::-1])]
     sigmas = [sigma] if sigma is not None else _ladder(points)
     weights = np.ones(len(points))
     if len(points) > MANY_POINTS:
         points, weights = thin(points, weights, THINNING_CELL * sigmas[0])
     scales = [_at_scale(points, weights, s) for s in sigmas]
-    chosen, unsure = _vote(points, scales)
-    return _network(cloud, points, weights, chosen, unsure)
+    chosen, unsure = _vote(points, scales, passes)
+    draft = Draft(cloud, points, weights, chosen.graph, chosen.sigma)
+    draft.use_recording(closed)
+    draft.give_directions(direction, start)
+    return draft.network(unsure)
 
 
 def _ladder(points: FloatArray) -> list[float]:
@@ -113,23 +137,56 @@ def _at_scale(points: FloatArray, weights: FloatArray, sigma: float) -> Scale:
     return Scale(sigma, assemble(skeleton, sigma), ridge.dropped)
 
 
-def _vote(points: FloatArray, scales: Sequence[Scale]) -> tuple[Scale, str | None]:
+def _vote(
+    points: FloatArray, scales: Sequence[Scale], passes: bool
+) -> tuple[Scale, str | None]:
     """Returns the scale whose topology is taken, and why that is unsure, if it is."""
     votes: dict[Signature, list[int]] = defaultdict(list)
     for k, scale in enumerate(scales):
         if scale.graph.strands:
-            votes[scale.signature].append(k)
+            votes[scale.graph.signature].append(k)
+    if passes:
+        votes = {s: ks for s, ks in votes.items() if s.pieces == 1 and not s.junctions}
     if not votes:
-        raise PointCloudError("the waypoints show no path at any scale")
-    loops = _count_loops(points)
+        what = "one path of which they are passes" if passes else "path"
+        raise PointCloudError(f"the waypoints show no {what} at any scale")
+    loops = None if passes or len(scales) == 1 else _count_loops(points)
     agreeing = {s: ks for s, ks in votes.items() if loops is None or s.cycles == loops}
     pool = agreeing if any(len(ks) >= 2 for ks in agreeing.values()) else votes
-    most = max(map(len, pool.values()))
-    taken = min(
-        (s for s, ks in pool.items() if len(ks) >= NEARLY_MOST_VOTES * most),
-        key=lambda s: pool[s][0],
+    taken = _elected(pool)
+    chosen = scales[_second_of_run(pool[taken])]
+    share = len(votes[taken]) / len(scales)
+    if passes or len(scales) == 1:
+        return chosen, None
+    if loops is not None and taken.cycles != loops:
+        return chosen, (
+            f"the ridge shows {taken.cycles} loops, but the holes between the waypoints show {loops}; "
+            + _remedy(taken)
+        )
+    if share < (LEAST_SHARE if loops is not None else LEAST_SHARE_ALONE):
+        return chosen, (
+            f"only {len(votes[taken])} of {len(scales)} scales show these paths; "
+            + _remedy(taken)
+        )
+    return chosen, None
+
+
+def _remedy(found: Signature) -> str:
+    """What would decide: in general, and for a bundle of passes."""
+    passes = found.pieces == 1 and not found.junctions
+    return "more waypoints would decide, or a scale to look at (sigma)" + (
+        ", or that they are passes of one path (passes)" if passes else ""
     )
-    return scales[_second_of_run(pool[taken])], None
+
+
+def _elected(votes: Mapping[Signature, Sequence[int]]) -> Signature:
+    """The finest topology with nearly the most votes; where votes are few, the simplest."""
+    most = max(map(len, votes.values()))
+    if most <= FEW_VOTES:
+        candidates = [s for s, ks in votes.items() if len(ks) >= most - 1]
+        return min(candidates, key=lambda s: (s.complexity, -len(votes[s]), votes[s][0]))
+    candidates = [s for s, ks in votes.items() if len(ks) >= NEARLY_MOST_VOTES * most]
+    return min(candidates, key=lambda s: votes[s][0])
 
 
 def _second_of_run(ks: Sequence[int]) -> int:
@@ -153,41 +210,3 @@ def _count_loops(points: FloatArray) -> int | None:
         return count_loops(np.unique(points, axis=0))
     except QhullError:
         return None
-
-
-def _network(
-    cloud: PointCloud,
-    points: FloatArray,
-    weights: FloatArray,
-    scale: Scale,
-    unsure: str | None,
-) -> PathNetwork:
-    graph, sigma = scale.graph, scale.sigma
-    place_nodes(graph, sigma)
-    routes = chains(graph)
-    courses = fit_courses(graph, routes, points, weights, sigma)
-    nodes, edges, found = number(graph, routes, courses, weights)
-    U = cloud.unit_length
-    length = sum(course.line.length for course in courses)
-    squares = sum(
-        course.scatter**2 * weights[course.waypoints].sum() for course in courses
-    )
-    kept = sum(float(weights[course.waypoints].sum()) for course in courses)
-    return PathNetwork(
-        nodes=tuple(replace(node, place=cloud.denormalize(node.place)) for node in nodes),
-        edges=tuple(
-            replace(edge, line=_moved(cloud, edge.line), scatter=edge.scatter * U)
-            for edge in edges
-        ),
-        routes=tuple(replace(route, line=_moved(cloud, route.line)) for route in found),
-        unit_length=U,
-        sigma=sigma * U,
-        scatter=float(np.sqrt(squares / max(kept, 1.0))) * U,
-        spacing=length / cloud.num_points * U,
-        dropped=round(float(weights.sum() - kept)),
-        unsure=unsure,
-    )
-
-
-def _moved(cloud: PointCloud, line: Piece) -> Piece:
-    return Piece(cloud.denormalize(line.vertices), line.closed)

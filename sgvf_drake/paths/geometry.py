@@ -182,6 +182,8 @@ def rough_line(graph: Graph, chain: Chain, sigma: float) -> tuple[Piece, FloatAr
 def _led_to(path: FloatArray, graph: Graph, arm: Arm, reach: float) -> FloatArray:
     """Begins an arm at its node: straight from a junction, or beyond the end of the ridge."""
     node = graph.node(arm)
+    if node in graph.exact_ends:
+        return path
     length = arc_lengths(path)[-1]
     if len(graph.arms(node)) == 1:
         back = path[0] - path[max(1, int(np.searchsorted(arc_lengths(path), reach)) - 1)]
