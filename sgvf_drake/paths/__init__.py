@@ -1,6 +1,8 @@
 """What is followed: point clouds, their pieces, and the true paths for the metrics."""
 
 from sgvf_drake.paths.ends import reverse, signed_area, with_ends
+from sgvf_drake.paths.finding import find_paths
+from sgvf_drake.paths.network import PathNetwork
 from sgvf_drake.paths.point_cloud import PointCloud
 from sgvf_drake.paths.reading import read_points
 from sgvf_drake.paths.reference import (
@@ -16,6 +18,7 @@ from sgvf_drake.paths.spanning_tree import TracedPiece, trace_pieces
 
 __all__ = [
     "SHAPES",
+    "PathNetwork",
     "Piece",
     "PointCloud",
     "Projection",
@@ -23,6 +26,7 @@ __all__ = [
     "ReferencePath",
     "TracedPiece",
     "TreeReference",
+    "find_paths",
     "make_shape",
     "read_points",
     "reverse",
