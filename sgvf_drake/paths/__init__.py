@@ -1,8 +1,6 @@
-"""What is followed: point clouds, their pieces, and the true paths for the metrics."""
+"""The paths of point clouds: their pieces, and the true ones for the metrics."""
 
 from sgvf_drake.paths.ends import reverse, signed_area, with_ends
-from sgvf_drake.paths.point_cloud import PointCloud
-from sgvf_drake.paths.reading import read_points
 from sgvf_drake.paths.reference import (
     Piece,
     Projection,
@@ -17,14 +15,12 @@ from sgvf_drake.paths.spanning_tree import TracedPiece, trace_pieces
 __all__ = [
     "SHAPES",
     "Piece",
-    "PointCloud",
     "Projection",
     "Reference",
     "ReferencePath",
     "TracedPiece",
     "TreeReference",
     "make_shape",
-    "read_points",
     "reverse",
     "shape_path",
     "signed_area",

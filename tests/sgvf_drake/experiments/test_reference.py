@@ -5,9 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError, PointCloudError
 from sgvf_drake.experiments import choose_reference, scale_reference
-from sgvf_drake.paths import PointCloud, ReferencePath, TreeReference
+from sgvf_drake.paths import ReferencePath, TreeReference
 
 
 def arc_field(degrees, has_end=False):
