@@ -22,6 +22,9 @@ from sgvf_drake.exceptions import PointCloudError
 SAMPLE = 3
 """Lines that tell the delimiter: names, units and the first numbers."""
 
+LONGEST_LINE = 1_000_000
+"""Lines with more characters are refused."""
+
 SAMPLED_ROWS = 50
 """Rows in which decimal commas are looked for."""
 
@@ -84,7 +87,7 @@ class TextTable(Table):
     def _rows(self) -> Iterator[tuple[int, list[str]]]:
         lines = (
             (line, content)
-            for line, content, _ in _contents(self.text)
+            for line, content, _ in _contents(self.path, self.text)
             if line >= self.first and content is not None
         )
         return _split(self, lines, self.delimiter)
@@ -115,7 +118,7 @@ def parse_text(path: Path, text: str) -> TextTable:
     Raises:
         PointCloudError: If there are no rows.
     """
-    lines, comment = _head(text)
+    lines, comment = _head(path, text)
     if not lines:
         raise PointCloudError(f"{path} holds no waypoints: it is empty")
     delimiter = _delimiter([content for _, content in lines])
@@ -145,13 +148,17 @@ def parse_text(path: Path, text: str) -> TextTable:
     )
 
 
-def _contents(text: str) -> Iterator[tuple[int, str | None, str]]:
+def _contents(path: Path, text: str) -> Iterator[tuple[int, str | None, str]]:
     """The number of each line, its content (None: only a comment), and its comment."""
     begin, line, end = 0, 0, 0
     while end >= 0:
         end = text.find("\n", begin)
         raw = text[begin:] if end < 0 else text[begin:end]
         begin, line = end + 1, line + 1
+        if len(raw) > LONGEST_LINE:
+            raise PointCloudError(
+                f"{path}, line {line}: longer than {LONGEST_LINE:,} characters"
+            )
         # A "#" inside quotes belongs to a name, so a line with quotes has no comment.
         content, comment = raw, ""
         if "#" in raw and '"' not in raw:
@@ -161,11 +168,11 @@ def _contents(text: str) -> Iterator[tuple[int, str | None, str]]:
         yield line, (content if content.strip() or content == raw else None), comment
 
 
-def _head(text: str) -> tuple[list[tuple[int, str]], str]:
+def _head(path: Path, text: str) -> tuple[list[tuple[int, str]], str]:
     """The first lines with content, and the last comment in front of them."""
     head: list[tuple[int, str]] = []
     last = ""
-    for line, content, comment in _contents(text):
+    for line, content, comment in _contents(path, text):
         if content is None and not head:
             last = comment
         elif content is not None and content.strip(" \t,;"):

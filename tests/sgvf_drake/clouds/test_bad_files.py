@@ -90,6 +90,7 @@ TEXTS = (
     ("x,y\n1,2\n", [], "two columns or more, not 0"),
     ("x,x\n1,2\n", ["x", 1], "two columns are named 'x'"),
     ("lat,lon,gps_lat\n1,2,3\n", "0,1,2", "along the same axis"),
+    ("x,y\n1,2\n" + "1," * 500_001, None, "line 3: longer than 1,000,000 characters"),
     # Quotes.
     ('x,y\n1,2\n"3,4\n5,6\n', None, "line 3: "),
     ('x,y\n1,2\n"3\n",4\n5,6\n', None, "line 3: a quoted field runs over the end"),
@@ -153,18 +154,18 @@ OTHERS = (
     ("p.npz", npz(), "an archive without arrays|not a readable"),
     ("p.npz", npz(a=np.zeros((3, 2)))[:-30], r"not a readable \.npz file"),
     ("book.xlsx", archive(sheet="<xml/>"), "an archive without arrays; CSV, text"),
-    ("p.npz", archive(a_npy=bytes(2_000_000)), "unpacks to more than|not a readable"),
+    ("p.npz", archive(a_npy=bytes(3_000_000)), "unpacks to more than|not a readable"),
     ("p.csv.gz", gzip.compress(b"1,2\n3,4\n" * 100)[:-20], "no whole gzip file"),
     ("p.csv.gz", b"\x1f\x8b\x08\x00garbage", "no whole gzip file"),
-    ("p.csv.gz", gzip.compress(bytes(2_000_000)), "larger than 1 MB"),
-    ("p.csv", b"1,2\n" * 300_000, "larger than 1 MB"),
+    ("p.csv.gz", gzip.compress(bytes(3_000_000)), "larger than 2 MB"),
+    ("p.csv", b"1,2\n" * 600_000, "larger than 2 MB"),
 )
 
 
 def test_bad_files_are_refused_in_one_line(write, monkeypatch):
     cases = [("waypoints.csv", *case) for case in TEXTS]
     cases += [(name, content, None, match) for name, content, match in OTHERS]
-    limit = 1_000_000
+    limit = 2_000_000
     for module in ("source", "formats"):
         monkeypatch.setattr(f"sgvf_drake.clouds.{module}.MOST_BYTES", limit)
     for name, content, columns, match in cases:
