@@ -130,7 +130,6 @@ def train(
             option = f"--{next(iter(given))}".replace("_", "-")
             raise ConfigurationError(f"{option} is for --shape; a file is taken as it is")
         cloud = PointCloud.read(points, chosen)
-        print_messages(cloud.messages)
     else:
         assert shape is not None
         cloud, _ = make_shape(shape, seed=seed, **given)
@@ -139,6 +138,7 @@ def train(
     from sgvf_drake.learning import TrainingConfig
 
     config = TrainingConfig(recipe=recipe.value, seed=seed, **of_path, **overrides)
+    print_messages(cloud.messages)
     with progress() as report:
         summary = run_train(cloud, config, out, overwrite=overwrite, progress=report)
     print_training(summary)

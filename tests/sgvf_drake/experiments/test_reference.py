@@ -62,7 +62,7 @@ def test_a_file_comes_first(tmp_path, flight_field):
     assert closed.longest == pytest.approx(2.0 + np.sqrt(2.0))
     swapped, _ = choose_reference(flight_field, file, ["speed", "x_m"])
     assert swapped.pieces[0].vertices[0].tolist() == [1.0, 0.0]
-    file.write_text("0 0 0\n1 0 0\n1 1 1\n")
+    file.write_text("x y z\n0 0 0\n1 0 0\n1 1 1\n")
     with pytest.raises(ConfigurationError, match=r"path.csv: .* 3 coordinates, the field 2"):
         choose_reference(flight_field, file)
     with pytest.raises(PointCloudError, match=r"none.csv"):
