@@ -9,6 +9,7 @@ import json
 import numpy as np
 import pytest
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.fields import (
     FourierFeatures,
     GaussianMixture,
@@ -19,7 +20,7 @@ from sgvf_drake.fields import (
     ScoreNetwork,
     load_field,
 )
-from sgvf_drake.paths import PointCloud, make_shape
+from sgvf_drake.paths import make_shape
 from tests.data.make import field_file, open_circle
 
 RECIPES = ("robust", "exact", "paper")

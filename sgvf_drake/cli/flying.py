@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from sgvf_drake.cli.application import app, console, progress
+from sgvf_drake.cli.application import app, console, errors, progress
 from sgvf_drake.cli.options import (
     FieldPath,
     Out,
@@ -19,6 +19,7 @@ from sgvf_drake.cli.tables import (
     print_flight,
     print_folder,
     print_following,
+    print_messages,
     print_tour,
     print_training,
 )
@@ -42,6 +43,7 @@ def follow(
 
     loaded = open_field(field)
     chosen = choose_reference(loaded, reference, columns_of(columns, reference, "--reference"))
+    print_messages(chosen[0].messages)
     options: dict[str, Any] = {"starts": starts, "duration": duration, "overwrite": overwrite}
     with progress() as report:
         summary = run_follow(loaded, chosen, out, **options, progress=report)
@@ -120,6 +122,8 @@ def fly(
     path, kind = choose_reference(
         loaded, reference, columns_of(columns, reference, "--reference")
     )
+    print_messages(path.messages)
+    _warn_of_ground(loaded, scale)
     options: dict[str, Any] = {"overwrite": overwrite}
     if certificate is not None:
         options["certified"] = CertifiedField.open(loaded, certificate, speed, scale)
@@ -143,6 +147,15 @@ def _pieces_of(tour: str) -> list[int]:
         return [int(number) - 1 for number in tour.split(",")]
     except ValueError:
         raise ConfigurationError(f"--tour {tour} is no list of pieces, as 1,2,1 is") from None
+
+
+def _warn_of_ground(loaded: Any, scale: float) -> None:
+    """Warns of waypoints in space that are not above the ground."""
+    if loaded.dim == 3:
+        lowest = scale * float(loaded.cloud.points[:, 2].min())
+        if lowest <= 0:
+            message = f"warning: the path goes down to z = {lowest:.4g} m; the ground is at 0"
+            errors.print(message, style="bold red")
 
 
 def _view(

@@ -10,7 +10,7 @@ import typer
 
 from sgvf_drake.cli.application import app, console, progress
 from sgvf_drake.cli.options import Columns, Out, Overwrite, columns_of
-from sgvf_drake.cli.tables import print_folder, print_import, print_training
+from sgvf_drake.cli.tables import print_folder, print_import, print_messages, print_training
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import PAPER_GAIN
 
@@ -45,7 +45,8 @@ class SamplingName(StrEnum):
 def train(
     out: Out,
     points: Annotated[
-        Path | None, typer.Option(help="Waypoints in any order: CSV, text or .npy.")
+        Path | None,
+        typer.Option(help="Waypoints in any order: CSV, text, .npy, GPX or a mission."),
     ] = None,
     shape: Annotated[
         str | None, typer.Option(help="A named shape in place of a file; see `sgvf shapes`.")
@@ -100,7 +101,8 @@ def train(
     overwrite: Overwrite = False,
 ) -> None:
     """Train a guiding field from waypoints."""
-    from sgvf_drake.paths import PointCloud, make_shape
+    from sgvf_drake.clouds import PointCloud
+    from sgvf_drake.paths import make_shape
 
     if (points is None) == (shape is None):
         raise ConfigurationError("give either --points FILE or --shape NAME")
@@ -136,6 +138,7 @@ def train(
     from sgvf_drake.learning import TrainingConfig
 
     config = TrainingConfig(recipe=recipe.value, seed=seed, **of_path, **overrides)
+    print_messages(cloud.messages)
     with progress() as report:
         summary = run_train(cloud, config, out, overwrite=overwrite, progress=report)
     print_training(summary)
@@ -162,8 +165,7 @@ def import_(
     points: Annotated[
         Path | None,
         typer.Option(
-            help="Waypoints of the training: CSV, text or .npy  \\[default: as the score "
-            "shows them].",
+            help="Waypoints of the training, in a file  \\[default: as the score shows them].",
         ),
     ] = None,
     columns: Columns = None,
@@ -190,6 +192,7 @@ def import_(
         normalise=normalise,
         overwrite=overwrite,
     )
+    print_messages(summary["messages"])
     print_import(summary)
     print_folder(out)
 

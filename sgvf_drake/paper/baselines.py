@@ -18,6 +18,7 @@ import numpy as np
 import pandas as pd
 
 from sgvf_drake import plotting
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments.follow import PATIENCE, FollowResult, follow
 from sgvf_drake.experiments.workbench import Row, Workbench
@@ -28,7 +29,6 @@ from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
 from sgvf_drake.paper.intervals import SHARE, interval, interval_columns
 from sgvf_drake.paper.methods import CASES, LEARNED, METHODS, make_case
 from sgvf_drake.paper.ways import Ways, coverage, effort, errors, find_ways
-from sgvf_drake.paths import PointCloud
 
 HANDLED, HALF, BROKEN = 0.95, 0.5, 0.05
 # One point, so often in a row, and the best of so many rows.

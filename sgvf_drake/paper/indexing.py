@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from sgvf_drake import plotting
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.experiments.follow import PATIENCE, follow
 from sgvf_drake.experiments.workbench import Row, Workbench
 from sgvf_drake.fields import (
@@ -50,7 +51,7 @@ from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
 from sgvf_drake.paper.intervals import SHARE, interval_columns
 from sgvf_drake.paper.methods import CASES, make_case
 from sgvf_drake.paper.ways import coverage, find_ways
-from sgvf_drake.paths import PointCloud, ReferencePath
+from sgvf_drake.paths import ReferencePath
 
 FIELD = "field.safetensors"
 GIVEN = ("ordered", "shuffled", "branching")

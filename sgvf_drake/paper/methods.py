@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from sgvf_drake.arrays import IntArray
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.experiments.clouds import true_path
 from sgvf_drake.experiments.follow import PathField
 from sgvf_drake.fields import (
@@ -22,7 +23,7 @@ from sgvf_drake.fields import (
     ParametricField,
     PursuitField,
 )
-from sgvf_drake.paths import PointCloud, ReferencePath, TracedPiece, trace_pieces
+from sgvf_drake.paths import ReferencePath, TracedPiece, trace_pieces
 
 if TYPE_CHECKING:
     from sgvf_drake.learning.config import Recipe

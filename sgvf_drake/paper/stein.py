@@ -16,6 +16,7 @@ import pandas as pd
 from scipy import stats
 
 from sgvf_drake import plotting
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments.clouds import make_cloud
 from sgvf_drake.experiments.workbench import Row, Workbench
@@ -24,7 +25,6 @@ from sgvf_drake.paper.claims import Claim, Figures, Rows, Share, Span, Verdict
 from sgvf_drake.paper.experiment import Exhibit, Experiment, run_trials
 from sgvf_drake.paper.intervals import interval_columns
 from sgvf_drake.paper.moments import CHUNK, SQUASHED, Moments, collect, make_probes
-from sgvf_drake.paths import PointCloud
 
 SCORES = "scores"
 """The table of the trials."""

@@ -1,10 +1,8 @@
-"""What is followed: point clouds, their pieces, and the true paths for the metrics."""
+"""The paths of point clouds: their pieces, and the true ones for the metrics."""
 
 from sgvf_drake.paths.ends import reverse, signed_area, with_ends
 from sgvf_drake.paths.finding import find_paths
 from sgvf_drake.paths.network import PathNetwork
-from sgvf_drake.paths.point_cloud import PointCloud
-from sgvf_drake.paths.reading import read_points
 from sgvf_drake.paths.reference import (
     Piece,
     Projection,
@@ -20,7 +18,6 @@ __all__ = [
     "SHAPES",
     "PathNetwork",
     "Piece",
-    "PointCloud",
     "Projection",
     "Reference",
     "ReferencePath",
@@ -28,7 +25,6 @@ __all__ = [
     "TreeReference",
     "find_paths",
     "make_shape",
-    "read_points",
     "reverse",
     "shape_path",
     "signed_area",

@@ -12,7 +12,7 @@ from sgvf_drake.paths.assembly import Graph
 from sgvf_drake.paths.building import number, piece_of_strands, reversed_route
 from sgvf_drake.paths.geometry import chains, fit_courses, place_nodes
 from sgvf_drake.paths.network import PathNetwork
-from sgvf_drake.paths.point_cloud import PointCloud
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.paths.recording import Recording
 from sgvf_drake.paths.reference import Piece, ReferencePath
 

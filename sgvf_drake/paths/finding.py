@@ -19,7 +19,7 @@ from sgvf_drake.paths.assembly import Graph, Signature, assemble
 from sgvf_drake.paths.draft import Direction, Draft
 from sgvf_drake.paths.loops import count_loops
 from sgvf_drake.paths.network import PathNetwork
-from sgvf_drake.paths.point_cloud import PointCloud
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.paths.ridge import THINNING_CELL, find_ridge, thin
 from sgvf_drake.paths.skeleton import grow_skeleton
 

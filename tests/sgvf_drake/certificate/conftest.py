@@ -7,8 +7,9 @@ import pytest
 
 from sgvf_drake import load_field
 from sgvf_drake.certificate import Certificate
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.fields import GaussianMixture, Perceptron
-from sgvf_drake.paths import Piece, PointCloud, ReferencePath
+from sgvf_drake.paths import Piece, ReferencePath
 from tests.data.make import FOLDER, field_file
 
 TURN = np.array([[0.0, -1.0], [1.0, 0.0]])

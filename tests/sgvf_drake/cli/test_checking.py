@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from sgvf_drake.certificate import Certificate
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.fields import GaussianMixture, Perceptron, load_field
-from sgvf_drake.paths import PointCloud
 from tests.data.make import FOLDER, field_file
 
 CERTIFICATE = FOLDER.parent / "certificates" / "ring.json"

@@ -8,11 +8,11 @@ import pytest
 from scipy.optimize import minimize_scalar
 from scipy.special import i0e
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments import tube, tube_curves
 from sgvf_drake.fields import GaussianMixture
 from sgvf_drake.lyapunov import LyapunovFunction
-from sgvf_drake.paths import PointCloud
 
 RADIUS, SIGMA, C_IN = 2.0, 0.4, 0.5
 

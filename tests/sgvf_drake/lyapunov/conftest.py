@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.fields import (
     GaussianMixture,
     GuidingField,
@@ -10,7 +11,7 @@ from sgvf_drake.fields import (
     Perceptron,
     RobustComposition,
 )
-from sgvf_drake.paths import Piece, PointCloud, ReferencePath
+from sgvf_drake.paths import Piece, ReferencePath
 
 TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
 
