@@ -1,4 +1,4 @@
-"""Clouds whose network of paths is known: 21 shapes, sampled evenly or at random, with noise."""
+"""Clouds whose network of paths is known: 21 shapes, sampled evenly or at random."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -158,7 +158,13 @@ SHAPES: dict[str, Shape] = {
         (Topology(1, 2, crossings=(4,)),),
     ),
     "rose of three": Shape(
-        [4 * _curve(lambda t: np.cos(3 * t / 2) * np.cos(t / 2), lambda t: np.cos(3 * t / 2) * np.sin(t / 2))],
+        [
+            4
+            * _curve(
+                lambda t: np.cos(3 * t / 2) * np.cos(t / 2),
+                lambda t: np.cos(3 * t / 2) * np.sin(t / 2),
+            )
+        ],
         (Topology(1, 3, crossings=(6,)),),
     ),
     "rose of four": Shape(

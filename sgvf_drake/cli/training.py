@@ -2,20 +2,16 @@
 
 from collections.abc import Mapping
 from enum import StrEnum
-import math
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from sgvf_drake.cli.application import app, console, progress
-from sgvf_drake.cli.options import Columns, Out, Overwrite, columns_of
+from sgvf_drake.cli.options import Columns, Out, Overwrite, columns_of, directions_of, point_of
 from sgvf_drake.cli.tables import print_folder, print_import, print_messages, print_training
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import PAPER_GAIN
-
-# Entries of --direction that leave a piece to the rule.
-RULE_ENTRIES = ("", "-")
 
 
 class RecipeName(StrEnum):
@@ -24,14 +20,6 @@ class RecipeName(StrEnum):
     PAPER = "paper"
     ROBUST = "robust"
     EXACT = "exact"
-
-
-class DirectionName(StrEnum):
-    """The directions of travel, as the command line offers them."""
-
-    CCW = "ccw"
-    CW = "cw"
-    REVERSE = "reverse"
 
 
 class SamplingName(StrEnum):
@@ -120,8 +108,8 @@ def train(
     }
     of_path: dict[str, Any] = {
         "open": is_open,
-        "direction": _directions(direction),
-        "start": _point(start),
+        "direction": directions_of(direction),
+        "start": point_of(start),
     }
     _check_recipe(recipe, of_path, score_iterations)
     chosen = columns_of(columns, points, "--points")
@@ -195,39 +183,6 @@ def import_(
     print_messages(summary["messages"])
     print_import(summary)
     print_folder(out)
-
-
-def _directions(text: str | None) -> str | tuple[str | None, ...] | None:
-    """Reads --direction: one direction for all pieces, or one for each."""
-    if text is None:
-        return None
-    entries = tuple(_direction(entry.strip()) for entry in text.split(","))
-    return entries[0] if len(entries) == 1 else entries
-
-
-def _direction(entry: str) -> str | None:
-    if entry in RULE_ENTRIES:
-        return None
-    try:
-        return DirectionName(entry).value
-    except ValueError:
-        names = ", ".join(DirectionName)
-        raise ConfigurationError(
-            f"--direction cannot be {entry!r}; choose {names}, or - for the rule"
-        ) from None
-
-
-def _point(text: str | None) -> tuple[float, ...] | None:
-    """Reads --start, a point X,Y or X,Y,Z."""
-    if text is None:
-        return None
-    try:
-        point = tuple(float(coordinate) for coordinate in text.split(","))
-    except ValueError:
-        point = ()
-    if len(point) < 2 or not all(map(math.isfinite, point)):
-        raise ConfigurationError(f"--start must be a point X,Y, not {text!r}")
-    return point
 
 
 def _check_recipe(

@@ -161,6 +161,16 @@ class Signature:
     junctions: tuple[int, ...]
     crossings: tuple[int, ...]
 
+    def __str__(self) -> str:
+        counts = {
+            "piece": self.pieces,
+            "loop": self.cycles,
+            "end": self.ends,
+            "junction": len(self.junctions),
+            "crossing": len(self.crossings),
+        }
+        return ", ".join(f"{n} {name}" + "s" * (n > 1) for name, n in counts.items() if n)
+
     @property
     def complexity(self) -> int:
         """What noise adds: ends and junctions, those with an odd number of arms above all."""

@@ -45,9 +45,7 @@ def number(
     degrees = {node: len(arms) for node, arms in graph.all_arms().items()}
     crossings = {graph.node(arm) for arm in graph.through}
     piece_of_node = {
-        node: piece_of[k]
-        for k, strand in graph.strands.items()
-        for node in strand.ends or ()
+        node: piece_of[k] for k, strand in graph.strands.items() for node in strand.ends or ()
     }
     order = sorted(places, key=lambda node: (piece_of_node[node], *places[node]))
     index = {node: number for number, node in enumerate(order)}
@@ -97,10 +95,13 @@ def piece_of_strands(
         chain.arms[0][0]: course.line.length
         for chain, course in zip(routes, courses, strict=True)
     }
-    first = {chain.arms[0][0]: tuple(course.line.vertices.min(axis=0))
-             for chain, course in zip(routes, courses, strict=True)}
+    first = {
+        chain.arms[0][0]: tuple(course.line.vertices.min(axis=0))
+        for chain, course in zip(routes, courses, strict=True)
+    }
     groups = [
-        [k for kind, k in group if kind == "strand"] for group in nx.connected_components(joined)
+        [k for kind, k in group if kind == "strand"]
+        for group in nx.connected_components(joined)
     ]
     groups.sort(
         key=lambda group: (

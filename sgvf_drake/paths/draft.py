@@ -7,12 +7,12 @@ from typing import Literal, get_args
 import numpy as np
 
 from sgvf_drake.arrays import FloatArray
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.paths.assembly import Graph
 from sgvf_drake.paths.building import number, piece_of_strands, reversed_route
 from sgvf_drake.paths.geometry import chains, fit_courses, place_nodes
 from sgvf_drake.paths.network import PathNetwork
-from sgvf_drake.clouds import PointCloud
 from sgvf_drake.paths.recording import Recording
 from sgvf_drake.paths.reference import Piece, ReferencePath
 
@@ -114,15 +114,17 @@ class Draft:
         sense = self._recording.direction(k)
         if sense:
             after, before = self._recording.ends(k)[::sense]
-            self._messages.append(f"a closed path is cut at the ends of its recording")
+            self._messages.append("a closed path is cut at the ends of its recording")
         else:
             arc = np.sort(course.arc)
             widest = int(np.argmax(np.diff(np.append(arc, arc[0] + course.line.length))))
             ends = arc[[widest, (widest + 1) % len(arc)]]
             before, after = course.line.at(ends)
-            self._messages.append(f"a closed path is cut in the widest gap of its waypoints")
+            self._messages.append("a closed path is cut in the widest gap of its waypoints")
         at = ReferencePath((course.line,)).project(np.array([before])).arc[0]
-        arm = self._routes[k].arms[int(np.searchsorted(course.at_nodes[1:-1], at, side="right"))]
+        arm = self._routes[k].arms[
+            int(np.searchsorted(course.at_nodes[1:-1], at, side="right"))
+        ]
         places = (before, after) if arm[1] == 0 else (after, before)
         self._graph.cut(arm[0], *places)
 
@@ -189,7 +191,9 @@ class Draft:
         if len(self._routes) == 1 and self._single_routes():
             passes = self._recording.passes(0) if self._recording.direction(0) else 1.0
             if passes > SEVERAL_PASSES:
-                self._messages.append(f"the points are {passes:.1f} passes of it, in their order")
+                self._messages.append(
+                    f"the points are {passes:.1f} passes of it, in their order"
+                )
                 # What lies between the passes, and not between paths, left the scales unsure.
                 unsure = None
         nodes, edges, routes = number(self._graph, self._routes, self._courses, self._weights)
@@ -217,13 +221,10 @@ class Draft:
         return Piece(self._cloud.denormalize(line.vertices), line.closed)
 
     def _sentences(self, network: PathNetwork) -> tuple[str, ...]:
-        found = [
-            f"piece {k + 1}: {network.describe(k)}" for k in range(network.num_pieces)
-        ]
+        found = [f"piece {k + 1}: {network.describe(k)}" for k in range(network.num_pieces)]
         if network.dropped:
-            found.append(
-                f"{network.dropped} of {self._cloud.num_points} waypoints are left out as strays"
-            )
+            of = f"{network.dropped} of {self._cloud.num_points} waypoints"
+            found.append(f"{of} are left out as strays")
         return (*found, *self._messages)
 
 
@@ -236,7 +237,9 @@ def signed_area(vertices: FloatArray) -> float:
 def _choices(
     direction: Direction | Sequence[Direction | None] | None, pieces: int
 ) -> Sequence[Direction | None]:
-    choices = [direction] * pieces if direction is None or isinstance(direction, str) else direction
+    choices = (
+        [direction] * pieces if direction is None or isinstance(direction, str) else direction
+    )
     if len(choices) != pieces:
         raise ConfigurationError(
             f"direction has {len(choices)} entries, but the path has {pieces} pieces"

@@ -1,9 +1,9 @@
 """From a cloud to its network of paths.
 
-The ridge of the density is found on a ladder of scales.  Each scale votes for the topology that
-it shows; the finest of those with nearly the most votes is taken.  In the plane, the persistence
-of the alpha complex tells the number of loops independently.  Where few scales agree, or both
-ways differ, the network is returned all the same, and says that it is unsure.
+The ridge of the density is found on a ladder of scales.  Each scale votes for the topology
+that it shows; the finest of those with nearly the most votes is taken.  In the plane, the
+persistence of the alpha complex tells the number of loops independently.  Where few scales
+agree, or both ways differ, the network is returned all the same, and says that it is unsure.
 """
 
 from collections import defaultdict
@@ -14,12 +14,12 @@ import numpy as np
 from scipy.spatial import QhullError, cKDTree
 
 from sgvf_drake.arrays import FloatArray
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import PointCloudError
 from sgvf_drake.paths.assembly import Graph, Signature, assemble
 from sgvf_drake.paths.draft import Direction, Draft
-from sgvf_drake.paths.loops import count_loops
+from sgvf_drake.paths.loops import Holes, find_holes
 from sgvf_drake.paths.network import PathNetwork
-from sgvf_drake.clouds import PointCloud
 from sgvf_drake.paths.ridge import THINNING_CELL, find_ridge, thin
 from sgvf_drake.paths.skeleton import grow_skeleton
 
@@ -48,18 +48,24 @@ NEARLY_MOST_VOTES = 0.6
 FEW_VOTES = 2
 """With no more votes than this, the scales do not tell, and the simplest topology is taken."""
 
-LEAST_SHARE, LEAST_SHARE_ALONE = 0.2, 0.36
-"""A topology is sure if this share of the scales shows it, and persistence has as many loops; or
-if this share shows it in space, where there is no second opinion."""
+LEAST_SHARE, LEAST_SHARE_ALONE = 0.18, 0.36
+"""A topology is sure if this share of the scales shows it, and persistence has as many loops;
+or if this share shows it in space, where there is no second opinion."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scale:
-    """What the ridge shows at one scale."""
+    """What the ridge shows at one scale.
+
+    Attributes:
+        sigma: The scale.
+        graph: The graph.
+        reach: The widest gap that was bridged, had there been one.
+    """
 
     sigma: float
     graph: Graph
-    dropped: float
+    reach: float
 
 
 def find_paths(
@@ -133,8 +139,8 @@ def _is_thick(points: FloatArray, sigma: float) -> bool:
 
 def _at_scale(points: FloatArray, weights: FloatArray, sigma: float) -> Scale:
     ridge = find_ridge(points, weights, sigma)
-    skeleton = grow_skeleton(ridge.points, points, weights, sigma)
-    return Scale(sigma, assemble(skeleton, sigma), ridge.dropped)
+    skeleton = grow_skeleton(ridge, points, weights, sigma)
+    return Scale(sigma, assemble(skeleton, sigma), skeleton.reach)
 
 
 def _vote(
@@ -150,25 +156,37 @@ def _vote(
     if not votes:
         what = "one path of which they are passes" if passes else "path"
         raise PointCloudError(f"the waypoints show no {what} at any scale")
-    loops = None if passes or len(scales) == 1 else _count_loops(points)
-    agreeing = {s: ks for s, ks in votes.items() if loops is None or s.cycles == loops}
+    holes = None if passes or len(scales) == 1 else _holes(points)
+    agreeing = {
+        s: kept
+        for s, ks in votes.items()
+        if (kept := [k for k in ks if _agrees(s, holes, scales[k])])
+    }
     pool = agreeing if any(len(ks) >= 2 for ks in agreeing.values()) else votes
     taken = _elected(pool)
     chosen = scales[_second_of_run(pool[taken])]
-    share = len(votes[taken]) / len(scales)
     if passes or len(scales) == 1:
         return chosen, None
-    if loops is not None and taken.cycles != loops:
+    if not _agrees(taken, holes, chosen):
+        assert holes is not None
         return chosen, (
-            f"the ridge shows {taken.cycles} loops, but the holes between the waypoints show {loops}; "
-            + _remedy(taken)
+            f"the ridge shows {taken.cycles} loops, but the holes between the waypoints "
+            f"{holes.loops(chosen.sigma, chosen.reach)}; {_remedy(taken)}"
         )
-    if share < (LEAST_SHARE if loops is not None else LEAST_SHARE_ALONE):
+    seen = len(votes[taken])
+    if seen < len(scales) * (LEAST_SHARE_ALONE if holes is None else LEAST_SHARE):
         return chosen, (
-            f"only {len(votes[taken])} of {len(scales)} scales show these paths; "
-            + _remedy(taken)
+            f"only {seen} of {len(scales)} scales show these paths; {_remedy(taken)}"
         )
+    rivals = [s for s, ks in pool.items() if s != taken and len(ks) >= len(pool[taken])]
+    if rivals:
+        return chosen, f"as many scales show {rivals[0]}; {_remedy(taken)}"
     return chosen, None
+
+
+def _agrees(found: Signature, holes: Holes | None, scale: Scale) -> bool:
+    """Whether persistence shows as many loops, if it can tell."""
+    return holes is None or found.cycles == holes.loops(scale.sigma, scale.reach)
 
 
 def _remedy(found: Signature) -> str:
@@ -202,11 +220,11 @@ def _second_of_run(ks: Sequence[int]) -> int:
     return run[1] if len(run) >= 3 else run[0]
 
 
-def _count_loops(points: FloatArray) -> int | None:
-    """The number of loops by persistence; None where it cannot be told."""
+def _holes(points: FloatArray) -> Holes | None:
+    """The holes between the waypoints; None where there can be none, or they tell nothing."""
     if points.shape[1] != 2:
         return None
     try:
-        return count_loops(np.unique(points, axis=0))
+        return find_holes(np.unique(points, axis=0))
     except QhullError:
         return None

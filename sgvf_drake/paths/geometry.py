@@ -63,6 +63,23 @@ class Chain:
 
 
 @dataclass(frozen=True, eq=False)
+class Ordered:
+    """Waypoints in the order of the route that they lie on.
+
+    Attributes:
+        index: The number of each, (n,).
+        arc: Arc length on the route's rough line, rising, (n,).
+        points: (n, d).
+        weights: How many waypoints each stands for, (n,).
+    """
+
+    index: IntArray
+    arc: FloatArray
+    points: FloatArray
+    weights: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
 class Course:
     """The geometry of a route.
 
@@ -118,13 +135,15 @@ def place_nodes(graph: Graph, sigma: float) -> None:
         for arm in arms:
             path = graph.outward(arm)
             arc = arc_lengths(path)
-            near, far = np.array([0.5, 1.0]) * min(2 * CONTRACTION * sigma, arc[-1])
-            a, b = ([np.interp(s, arc, x) for x in path.T] for s in (near, far))
-            along = np.subtract(b, a) / max(np.linalg.norm(np.subtract(b, a)), 1e-12)
+            # Its first part is bent towards the node.
+            at = np.linspace(0.25, 1, 10) * min(2 * CONTRACTION * sigma, arc[-1])
+            line = np.column_stack([np.interp(at, arc, x) for x in path.T])
+            middle = line.mean(axis=0)
+            along = np.asarray(np.linalg.svd(line - middle)[2][0], dtype=np.float64)
             across = np.eye(len(along)) - np.outer(along, along)
             matrix += across
-            vector += across @ a
-        place, *_ = np.linalg.lstsq(matrix, vector, rcond=None)
+            vector += across @ middle
+        place = np.asarray(np.linalg.lstsq(matrix, vector, rcond=None)[0], dtype=np.float64)
         if np.linalg.norm(place - graph.places[node]) < CONTRACTION * sigma:
             graph.places[node] = place
 
@@ -138,19 +157,18 @@ def fit_courses(
     near = foot.distance < CONTRACTION * sigma
     courses = []
     for k, (chain, (line, marks)) in enumerate(zip(routes, rough, strict=True)):
-        own = np.flatnonzero(near & (foot.piece == k))
-        own = own[np.argsort(foot.arc[own], kind="stable")]
-        if len(own) < RUN:
-            courses.append(Course(line, marks, 0.0, own, foot.arc[own]))
+        index = np.flatnonzero(near & (foot.piece == k))
+        index = index[np.argsort(foot.arc[index], kind="stable")]
+        own = Ordered(index, foot.arc[index], points[index], weights[index])
+        if len(index) < RUN:
+            courses.append(Course(line, marks, 0.0, index, own.arc))
             continue
         first, last = chain.arms[0], chain.arms[-1]
         ends = [(0.0, first), (line.length, (last[0], 1 - last[1]))]
         pinned = [
             s for s, arm in ends if not chain.closed and len(graph.arms(graph.node(arm))) > 1
         ]
-        courses.append(
-            _fit(line, marks, pinned, points[own], weights[own], foot.arc[own], own, sigma)
-        )
+        courses.append(_fit(line, marks, pinned, own, sigma))
     return courses
 
 
@@ -194,58 +212,63 @@ def _led_to(path: FloatArray, graph: Graph, arm: Arm, reach: float) -> FloatArra
 
 
 def _fit(
-    rough: Piece,
-    marks: FloatArray,
-    pinned: list[float],
-    points: FloatArray,
-    weights: FloatArray,
-    arc: FloatArray,
-    own: IntArray,
-    sigma: float,
+    rough: Piece, marks: FloatArray, pinned: list[float], own: Ordered, sigma: float
 ) -> Course:
-    """Fits a line to waypoints that lie at increasing arc lengths of a rough one.
+    """Fits a line to waypoints along a rough one.
 
-    It runs through the rough line's points at the arc lengths `pinned`.
+    Args:
+        rough: The rough line.
+        marks: Arc lengths on it whose places are wanted.
+        pinned: Arc lengths where the fitted line meets it.
+        own: The waypoints.
+        sigma: The scale.
     """
-    total = rough.length
-    period = total if rough.closed else None
-    spacing = total / float(weights.sum())
-    scatter = local_scatter(arc, points, period)
-    u, x, w = _averaged(arc, points, weights, total / MOST_FITTED)
+    period = rough.length if rough.closed else None
+    spacing = rough.length / float(own.weights.sum())
+    scatter = local_scatter(own.arc, own.points, period)
+    u, x, w = _averaged(own, rough.length / MOST_FITTED)
     for s in pinned:
         at = int(s > 0) * len(u)
         u, w = np.insert(u, at, s), np.insert(w, at, 100 * w.max())
         x = np.insert(x, at, rough.at(np.array([s])), axis=0)
-    first, last = (0.0, total) if rough.closed else (u[0], u[-1])
+    first, last = (0.0, rough.length) if rough.closed else (u[0], u[-1])
     marks = np.clip(marks, first, last)
-    sparse = spacing > SPARSE or float(np.median(scatter)) < CLEAN * spacing
+    as_they_are = spacing > SPARSE or float(np.median(scatter)) < CLEAN * spacing
     count = int(np.ceil((last - first) * SAMPLES_PER_SIGMA / sigma)) + 2
-    samples = np.union1d(marks, u if sparse else np.linspace(first, last, count))
+    samples = np.union1d(marks, u if as_they_are else np.linspace(first, last, count))
     samples = samples[samples < last] if rough.closed else samples
-    if sparse:
+    if as_they_are:
         vertices = np.column_stack([np.interp(samples, u, c, period=period) for c in x.T])
     else:
-        width = BANDWIDTH * np.maximum(spacing, np.interp(samples, arc, scatter))
+        width = BANDWIDTH * np.maximum(spacing, np.interp(samples, own.arc, scatter))
         vertices = _regressed(samples, u, x, w, width, period)
     line = Piece(vertices, rough.closed)
-    distance = ReferencePath((line,)).project(points).distance
-    spread = np.sqrt(np.average(distance**2, weights=weights) / (points.shape[1] - 1))
-    # Arc lengths of the rough line are taken to those of the fitted one.
-    if rough.closed:
-        samples = np.append(samples, total)
-    lengths = np.append(line.arc, line.length)[: len(samples)]
-    on_line = [np.interp(s, samples, lengths) for s in (marks, arc)]
-    return Course(line, on_line[0], float(spread), own, on_line[1])
+    # Arc lengths on the rough line become those on the fitted one.
+    known = np.append(samples, rough.length) if rough.closed else samples
+    lengths = np.append(line.arc, line.length)[: len(known)]
+    return Course(
+        line,
+        np.interp(marks, known, lengths),
+        _spread(line, own),
+        own.index,
+        np.interp(own.arc, known, lengths),
+    )
 
 
-def _averaged(
-    arc: FloatArray, points: FloatArray, weights: FloatArray, step: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _spread(line: Piece, own: Ordered) -> float:
+    """Standard deviation of waypoints across a line, in each direction."""
+    squares = ReferencePath((line,)).project(own.points).distance ** 2
+    across = own.points.shape[1] - 1
+    return float(np.sqrt(np.average(squares, weights=own.weights) / across))
+
+
+def _averaged(own: Ordered, step: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Averages waypoints within each step of arc length; returns arc, place, weight."""
-    group = np.unique(np.floor(arc / step), return_inverse=True)[1]
-    total = np.bincount(group, weights)
-    columns = [np.bincount(group, weights * x) / total for x in (arc, *points.T)]
-    return columns[0], np.column_stack(columns[1:]), total
+    group = np.unique(np.floor(own.arc / step), return_inverse=True)[1]
+    total = np.bincount(group, own.weights).astype(np.float64)
+    columns = (own.arc, *own.points.T)
+    means = np.column_stack([np.bincount(group, own.weights * x) / total for x in columns])
+    return means[:, 0], means[:, 1:], total
 
 
 def _regressed(
@@ -284,8 +307,8 @@ def _regressed(
 def local_scatter(arc: FloatArray, points: FloatArray, period: float | None) -> FloatArray:
     """Standard deviation across the path around each of waypoints (n, d) in order, (n,).
 
-    Arc length along the path, (n,), hardly depends on where across it a waypoint lies.  It is the median residual of parabolas through runs of them: parabolas, so that a bend does
-    not count as scatter; the median, so that corners do not.
+    It is the median residual of parabolas through runs of them over their arc lengths (n,):
+    parabolas, so that a bend does not count as scatter; the median, so that corners do not.
     """
     half = RUN // 2
     if period is not None:

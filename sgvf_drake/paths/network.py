@@ -20,7 +20,7 @@ from sgvf_drake.paths.reference import Piece
 FORMAT, VERSION = "sgvf-path-network", 1
 
 NodeKind = Literal["end", "junction", "crossing"]
-"""An end has one arm; at a junction a route has a choice; a crossing is driven straight over."""
+"""An end has one arm; a junction leaves a choice; a crossing is driven straight over."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,29 +139,34 @@ class PathNetwork:
 
         All other pieces are networks, whose edges can be travelled either way.
         """
-        return (
-            sum(route.piece == piece for route in self.routes) == 1
-            and not any(n.kind == "junction" and n.piece == piece for n in self.nodes)
+        return sum(route.piece == piece for route in self.routes) == 1 and not any(
+            n.kind == "junction" and n.piece == piece for n in self.nodes
         )
+
+    def kind(self, piece: int) -> str:
+        """What a piece is: "closed path", "open path" or "network"."""
+        if not self.is_one_way(piece):
+            return "network"
+        route = next(route for route in self.routes if route.piece == piece)
+        return "closed path" if route.closed else "open path"
 
     def describe(self, piece: int) -> str:
         """Says what a piece is, in a few words."""
-        nodes = [node for node in self.nodes if node.piece == piece]
-        counts = {
-            f"{kind}s" if number > 1 else kind: number
-            for kind in ("junction", "crossing", "end")
-            if (number := sum(node.kind == kind for node in nodes))
-        }
+        kind = self.kind(piece)
+        named: tuple[NodeKind, ...] = ("junction", "crossing", "end")
+        if kind != "network":
+            # Its ends are those of an open path.
+            named = ("crossing",)
+        nodes = [node.kind for node in self.nodes if node.piece == piece]
+        counts = [
+            f"{number} {name}" + "s" * (number > 1)
+            for name in named
+            if (number := nodes.count(name))
+        ]
         length = sum(edge.length for edge in self.edges if edge.piece == piece)
-        if self.is_one_way(piece):
-            route = next(route for route in self.routes if route.piece == piece)
-            for name in ("end", "ends"):
-                counts.pop(name, None)
-            kind = "closed path" if route.closed else "open path"
-        else:
-            kind = "network"
-        nodes_text = ", ".join(f"{number} {name}" for name, number in counts.items())
-        return f"{kind}, length {length:.4g}" + (f", with {nodes_text}" if nodes_text else "")
+        return f"{kind}, length {length:.4g}" + (
+            f", with {', '.join(counts)}" if counts else ""
+        )
 
     def to_json(self) -> dict[str, Any]:
         """Returns plain data; `from_json` reads it back."""
@@ -243,7 +248,12 @@ class PathNetwork:
                 **{
                     name: data[name]
                     for name in (
-                        "unit_length", "sigma", "scatter", "spacing", "dropped", "unsure"
+                        "unit_length",
+                        "sigma",
+                        "scatter",
+                        "spacing",
+                        "dropped",
+                        "unsure",
                     )
                 },
                 messages=tuple(data["messages"]),

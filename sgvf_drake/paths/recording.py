@@ -14,7 +14,7 @@ ONE_WAY = 0.95
 Of shuffled ones it is a half, and of a few dozen of them hardly ever more than this."""
 
 LONGEST_STEP = 3.0
-"""Longer steps count as this many median ones: they are jumps to the next lap or demonstration."""
+"""Longer steps count as this many median ones: they are jumps to the next demonstration."""
 
 JUMP = 5.0
 """A recording goes on over a step of at most this many median ones; more is a jump."""
@@ -39,7 +39,7 @@ class Recording:
     closed: BoolArray
 
     def direction(self, route: int) -> int:
-        """Whether the waypoints are in order along a route: 1, against it: -1, or neither: 0."""
+        """1 if the waypoints are in order along a route, -1 if against it, 0 if neither."""
         both = (self.route[:-1] == route) & (self.route[1:] == route)
         if both.sum() < FEWEST_STEPS:
             return 0
@@ -74,7 +74,9 @@ class Recording:
         changes &= (self.route[:-1] >= 0) & (self.route[1:] >= 0)
         found = []
         for k in np.flatnonzero(changes):
-            sides = [side for i in (k, k + 1) if (side := self._end(i, reach)) is not None]
+            sides = [
+                side for i in (int(k), int(k) + 1) if (side := self._end(i, reach)) is not None
+            ]
             if len(sides) == 2:
                 found.append(Link(sides[0], sides[1], self.points[k : k + 2]))
         return found

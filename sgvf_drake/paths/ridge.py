@@ -7,8 +7,6 @@ around a point, seen from it, is sigma^2 times the score; its part along the dir
 those waypoints spread most is left out, so that points do not gather where the path is densest.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -32,38 +30,25 @@ DISTANCE = 0.35
 """Ridge points are kept this many sigma apart."""
 
 
-@dataclass(frozen=True, eq=False)
-class Ridge:
-    """Points on the ridge at one scale, in no order.
+def find_ridge(points: FloatArray, weights: FloatArray, sigma: float) -> FloatArray:
+    """Returns points on the ridge of weighted waypoints (N, d), (N,) at the scale `sigma`.
 
-    Attributes:
-        points: (n, d), `DISTANCE` sigma apart or more.
-        dropped: Weight of the waypoints that the ridge leaves out as strays.
+    They are `DISTANCE` sigma apart or more, (n, d), in no order; those of strays are left out.
     """
-
-    points: FloatArray
-    dropped: float
-
-
-def find_ridge(points: FloatArray, weights: FloatArray, sigma: float) -> Ridge:
-    """Returns the ridge of weighted waypoints (N, d), (N,) at the scale `sigma`."""
     cells, weights = thin(points, weights, THINNING_CELL * sigma)
     # The square root keeps a place where a robot stood still from ruling its surroundings.
     climbed, mass = climb(cells, cells, np.sqrt(weights), sigma)
     dense = mass > LEAST_MASS * np.median(mass)
-    on_ridge = climbed[dense][_spread(climbed[dense], mass[dense], DISTANCE * sigma)]
-    return Ridge(on_ridge, float(weights[~dense].sum()))
+    return climbed[dense][_spread(climbed[dense], mass[dense], DISTANCE * sigma)]
 
 
-def thin(
-    points: FloatArray, weights: FloatArray, cell: float
-) -> tuple[FloatArray, FloatArray]:
+def thin(points: FloatArray, weights: FloatArray, cell: float) -> tuple[FloatArray, FloatArray]:
     """Returns the mean point of each occupied cell of a grid, and the weight of the cell."""
     _, member = np.unique(np.floor(points / cell), axis=0, return_inverse=True)
     member = member.reshape(-1)
     total = np.bincount(member, weights)
-    means = [np.bincount(member, weights * column) / total for column in points.T]
-    return np.column_stack(means), total
+    means = np.column_stack([np.bincount(member, weights * x) / total for x in points.T])
+    return means, np.asarray(total, dtype=np.float64)
 
 
 def climb(

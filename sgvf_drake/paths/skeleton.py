@@ -43,7 +43,10 @@ class Skeleton:
     Attributes:
         points: (n, d); those without an entry in `links` are no longer part of it.
         links: For each point its neighbours, and the distance to each.
+        reach: The widest gap between two tips that was bridged, had there been one.
     """
+
+    reach: float = 0.0
 
     def __init__(self, points: FloatArray) -> None:
         self.points = points
@@ -190,7 +193,7 @@ def _spanner(points: FloatArray, sigma: float) -> Skeleton:
 
 
 def prune(skeleton: Skeleton, sigma: float) -> None:
-    """Cuts short leaves, the shortest first, until there are none; acute tips become corners."""
+    """Cuts short leaves, the shortest first, until none is left; acute tips become corners."""
     pruned = True
     while pruned:
         pruned = False
@@ -231,9 +234,7 @@ def _prune_leaf(skeleton: Skeleton, path: list[int], length: float, sigma: float
     return True
 
 
-def _tip_length(
-    skeleton: Skeleton, path: list[int], others: list[int], sigma: float
-) -> float:
+def _tip_length(skeleton: Skeleton, path: list[int], others: list[int], sigma: float) -> float:
     """How long a leaf may be that is the tip of two arms; zero where it is none.
 
     The ridges of two arms at an angle phi merge where they are 2 sin(phi / 2) sigma apart.
@@ -253,9 +254,7 @@ def _tip_length(
     return (1.6 / max(math.sin(angle / 2), 0.1) + 1) * sigma
 
 
-def sampling_along(
-    skeleton: Skeleton, points: FloatArray, weights: FloatArray
-) -> Sampling:
+def sampling_along(skeleton: Skeleton, points: FloatArray, weights: FloatArray) -> Sampling:
     """Measures how the waypoints (N, d) lie along a skeleton."""
     ids = np.array(list(skeleton.links))
     _, nearest = cKDTree(skeleton.points[ids]).query(points)
@@ -267,7 +266,7 @@ def sampling_along(
     gaps = np.diff(np.sort(along))
     # Gaps between walks are not gaps of the path.
     gaps = gaps[gaps < WALK_OFFSET / 2]
-    uneven = float(np.std(gaps) / max(np.mean(gaps), 1e-9)) if len(gaps) > 4 else 1.0
+    uneven = float(np.std(gaps)) / max(float(np.mean(gaps)), 1e-9) if len(gaps) > 4 else 1.0
     count = float(weights.sum())
     rate = count / max(_tree_length(skeleton.points[ids]), 1e-6)
     return Sampling(count, rate, min(1.0, uneven))
@@ -333,6 +332,7 @@ BRIDGING_ROUNDS = 6
 def _bridge_gaps(skeleton: Skeleton, sampling: Sampling, sigma: float) -> None:
     """Joins tips to tips and to strands across the gaps that the sampling leaves."""
     to_tip = min(1.5 * sigma + sampling.longest_gap, max(WIDEST_TIP_GAP, 4 * sigma))
+    skeleton.reach = to_tip
     to_side = min(2.5 * sigma + sampling.long_gap, max(WIDEST_SIDE_GAP, 4 * sigma))
     for alignment, part in ((STRAIGHT, 1.0), (BENT, 0.8)):
         for _ in range(BRIDGING_ROUNDS):

@@ -1,6 +1,6 @@
 """How often the network of a cloud is found, over shapes, samplings, noises and seeds.
 
-    python -m tests.benchmarks.paths --counts 200 --seeds 5
+python -m tests.benchmarks.paths --counts 200 --seeds 5
 """
 
 import argparse
