@@ -85,15 +85,15 @@ def read_recording(
     table = _parse(path, read_bytes(path))
     trajectory = name_trajectory(table)
     if trajectory is not None:
-        kind, names = trajectory
-        table = replace(table, kind=kind, names=names)
+        kind, names, notes = trajectory
+        table = replace(table, kind=kind, names=names, notes=notes)
     if isinstance(columns, str):
         columns = [name.strip() for name in columns.split(",")]
     choice = choose_columns(table, columns)
     rows = _present(table, choice)
     dim = len(choice.columns)
     points, velocities = rows.values[:, :dim], rows.values[:, dim:]
-    notes = [*table.notes, *_left_out(table, choice)]
+    said = [*table.notes, *_left_out(table, choice)]
     if choice.frame == "degrees":
         points, origin = _local(table, points, rows.places, origin)
     else:
@@ -101,16 +101,16 @@ def read_recording(
         if choice.frame == "ned":
             points = points * [1, 1, -1]
             velocities = velocities * [1, 1, -1] if choice.velocities else velocities
-            notes.append("north, east, down became east, north, up")
+            said.append("north, east, down became east, north, up")
     breaks = _breaks(rows, len(points))
     told = _told(table, choice, points, breaks, origin)
-    notes += _constant(table, choice, points)
+    said += _constant(table, choice, points)
     return Recording(
         points,
         np.nan_to_num(velocities, nan=0.0) if velocities.shape[1] else None,
         breaks,
         origin,
-        (told, *(f"{path.name}: {note}" for note in notes)),
+        (told, *(f"{path.name}: {note}" for note in said)),
     )
 
 
@@ -121,7 +121,7 @@ def _parse(path: Path, data: bytes) -> Table:
     text = decode(path, data)
     start = text[:100].lstrip()
     if start.startswith("<"):
-        return parse_gpx(path, text.lstrip("\n"))
+        return parse_gpx(path, text.lstrip())
     if start.startswith(MISSION_HEADER):
         return parse_mission(path, text)
     refused = unreadable(path, start)
@@ -172,7 +172,7 @@ def _local(
     near = origin or middle(*_typical(latitude, longitude))
     origin = origin or middle(latitude, longitude)
     local = east_north_up(latitude, longitude, height, near)
-    far = np.flatnonzero(np.linalg.norm(local[:, :2], axis=1) > FARTHEST)
+    far = np.flatnonzero(np.linalg.norm(local, axis=1) > FARTHEST)
     if len(far):
         place = int(places[far[0]])
         away = np.linalg.norm(local[far[0]]) / 1e3

@@ -165,6 +165,9 @@ def _contents(path: Path, text: str) -> Iterator[tuple[int, str | None, str]]:
             content, _, comment = raw.partition("#")
         if content.lstrip().startswith(("%", "//")):
             content, comment = "", content.strip().lstrip("%/")
+        if line == 1 and re.fullmatch(r"sep=.\s*", content):
+            # What a spreadsheet tells another one.
+            content = ""
         yield line, (content if content.strip() or content == raw else None), comment
 
 
