@@ -142,6 +142,7 @@ OTHERS = (
     ("p.npy", b"x,y\n1,2\n", r"not a readable \.npy file"),
     ("p.npy", npy(np.zeros((100, 2)))[:200], r"not a readable \.npy file"),
     ("p.npy", LYING, r"not a readable \.npy file"),
+    ("p.npy", LYING.replace(b"(9, 2)", b"(9, (2"), r"not a readable \.npy file"),
     ("p.npy", HUGE, r"not a readable \.npy file"),
     # Pickles are never loaded.
     ("p.npy", npy(np.array([[1, None]], dtype=object), allow_pickle=True), "not a readable"),
