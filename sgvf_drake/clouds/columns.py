@@ -68,8 +68,8 @@ OTHER_WORDS = {
 of ROS is one along the axes of the robot."""
 
 SETS = (("x", "y", "z"), ("e", "n", "u"), ("e", "n", "d"), ("lat", "lon"))
-"""Axes that belong together; of the third ones only the first two are needed.  An altitude
-beside degrees is taken where it is asked for."""
+"""Axes that belong together; the first two of each are needed.  An altitude beside degrees is
+taken where it is asked for."""
 
 TUM = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
 KITTI = ("r00", "r01", "r02", "x", "r10", "r11", "r12", "y", "r20", "r21", "r22", "z")
@@ -135,13 +135,22 @@ def choose_columns(table: Table, columns: Sequence[str | int] | None) -> Choice:
     axes = tuple("" if name is None or name.moves else name.axis for name in known)
     choice = Choice(numbers, axes)
     if choice.frame in ("degrees", "ned"):
-        # These are turned into east and north, so their order in the file says nothing.
+        # These are turned into east and north, so the order that they are given in is none.
         order = ("lat", "lon", "alt") if choice.frame == "degrees" else ("e", "n", "d")
         pairs = sorted(zip(axes, numbers, strict=True), key=lambda pair: order.index(pair[0]))
         axes, numbers = zip(*pairs, strict=True)
         if len(set(axes)) < len(axes):
             raise table.error("two of the chosen columns are along the same axis")
     return _with_velocities(Choice(numbers, axes), names)
+
+
+def altitude_of(table: Table) -> str | None:
+    """Returns the name of the first column that is an altitude, if there is one."""
+    for name in table.names or ():
+        known = _understand(name)
+        if known is not None and known.axis == "alt" and not known.moves:
+            return name
+    return None
 
 
 def name_trajectory(table: Table) -> tuple[str, Sequence[str], Sequence[str]] | None:

@@ -11,7 +11,7 @@ import re
 import numpy as np
 
 from sgvf_drake.arrays import FloatArray, IntArray
-from sgvf_drake.clouds.columns import Choice, choose_columns, name_trajectory
+from sgvf_drake.clouds.columns import Choice, altitude_of, choose_columns, name_trajectory
 from sgvf_drake.clouds.formats import (
     MISSION_HEADER,
     parse_gpx,
@@ -104,7 +104,7 @@ def read_recording(
             said.append("north, east, down became east, north, up")
     breaks = _breaks(rows, len(points))
     told = _told(table, choice, points, breaks, origin)
-    said += _constant(table, choice, points)
+    said += [*_constant(table, choice, points), *_below_ground(table, choice, points)]
     return Recording(
         points,
         np.nan_to_num(velocities, nan=0.0) if velocities.shape[1] else None,
@@ -227,32 +227,34 @@ def _unit(table: Table, choice: Choice) -> str:
 
 
 def _left_out(table: Table, choice: Choice) -> list[str]:
-    """Notes on altitudes that were not taken."""
-    if choice.frame != "degrees" or len(choice.columns) > 2 or table.names is None:
-        return []
-    height = next((name for name in table.names if name.lower()[:3] in ("alt", "ele")), None)
-    if height is None:
+    """A note on an altitude that was not taken."""
+    height = altitude_of(table)
+    if height is None or choice.frame != "degrees" or len(choice.columns) > 2:
         return []
     names = [table.label(column) for column in choice.columns]
     return [f"{height} left out; take it with --columns {','.join([*names, height])}"]
 
 
 def _constant(table: Table, choice: Choice, points: FloatArray) -> list[str]:
-    """Notes on coordinates that are the same everywhere, with what to do."""
+    """A note on a coordinate that is the same everywhere, with what to do."""
     still = [int(axis) for axis in np.flatnonzero(np.ptp(points, axis=0) == 0)]
     if len(points) < 2 or not still or len(still) == points.shape[1]:
         return []
-    axis = still[0]
-    value = f"{points[0, axis]:.6g}"
-    name = table.label(choice.columns[axis])
-    notes = [f"{name} is constant ({value})"]
+    column = choice.columns[still[0]]
+    note = f"{table.label(column)} is constant ({points[0, still[0]]:.6g})"
     if points.shape[1] > 2:
-        others = [column for number, column in enumerate(choice.columns) if number != axis]
-        labels = [str(table.names[column] if table.names else column) for column in others]
-        notes = [f"{notes[0]}; for a path in the plane take --columns {','.join(labels)}"]
-        if axis == 2 and points[0, axis] < 0 and choice.frame == "plain":
-            notes.append(f"{name} is below the ground; are these north, east, down?")
-    return notes
+        others = [other for other in choice.columns if other != column]
+        labels = [str(table.names[other] if table.names else other) for other in others]
+        note += f"; for a path in the plane take --columns {','.join(labels)}"
+    return [note]
+
+
+def _below_ground(table: Table, choice: Choice, points: FloatArray) -> list[str]:
+    """A note where no point in space is above the ground, as where z points down."""
+    if points.shape[1] != 3 or choice.frame != "plain" or not (points[:, 2] < 0).all():
+        return []
+    name = table.label(choice.columns[2])
+    return [f"{name} is below the ground; are these north, east, down?"]
 
 
 def _length(value: float) -> str:

@@ -95,7 +95,7 @@ def test_degrees_of_every_format_become_the_same_metres(write):
     np.testing.assert_allclose(read_recording(path).points[:, 0], latitude, atol=1e-7)
     for header in (
         "Latitude,Longitude,x1",
-        "field.latitude,field.longitude_deg,sat",
+        "field.latitude,field.longitude_deg,n",
         "LAT [deg],LNG [deg],s",
     ):
         path = write(header + "\n" + table)

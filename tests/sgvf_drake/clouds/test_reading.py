@@ -29,6 +29,7 @@ DIALECTS = (
     "time,y_m,x_m,w\n0,2,1,n/a\n1,4e-3,-3.5,n/a\n2,6.25,5,\n",
     "# x_m,y_m,w_right,w_left\n1,2,0,0\n-3.5,4e-3,0,0\n5,6.25,0,0\n",
     "# s x y\n0 1 2\n1 -3.5 4e-3\n2 5 6.25\n",
+    "# s_m; not used\n# x_m; y_m\n1; 2\n-3.5; 4e-3\n5; 6.25\n",
     "# s, x, y\n0 1 2\n1 -3.5 4e-3\n2 5 6.25\n",
     "%time,field.x,x,y\n0,9,1,2\n1,9,-3.5,4e-3\n2,9,5,6.25\n",
     "// made by hand\n1 2\n// a pause\n-3.5 4e-3\n5 6.25\n",
@@ -251,6 +252,14 @@ def test_what_is_said_of_a_file(write):
             [
                 "CSV, 2 points, x, y, z, 3 x 4 x 0",
                 "z is constant (-5); for a path in the plane take --columns x,y",
+                "z is below the ground; are these north, east, down?",
+            ],
+        ),
+        (
+            "x,y,z\n0,0,-5\n3,4,-6\n",
+            None,
+            [
+                "CSV, 2 points, x, y, z, 3 x 4 x 1",
                 "z is below the ground; are these north, east, down?",
             ],
         ),
