@@ -311,7 +311,7 @@ def _undecided(table: Table, reason: str, example: Sequence[int]) -> PointCloudE
         by_name = [str(number) for number in example[:2]]
     return table.error(
         f"cannot tell which columns are coordinates ({reason}): it has {table.columns_text}; "
-        f"choose with --columns {shlex.quote(','.join(by_name))}"
+        f"choose, as in --columns {shlex.quote(','.join(by_name))}"
     )
 
 

@@ -32,6 +32,9 @@ FARTHEST = 500e3
 UNIT_IN_NAME = re.compile(r"[\[(_ ](m|mm|cm|km|ft)[\])]?$")
 """Units of length at the end of a name: "x_m", "X [mm]"."""
 
+SMALLEST_PART = 1e-9
+"""An extent below this part of the largest one is told as none."""
+
 SINGLE_POINTS = 0.5
 """Blank lines are layout, and separate nothing, if more of the pieces than this part of them
 are single points."""
@@ -208,9 +211,10 @@ def _told(
         axes = "east, north, up" if points.shape[1] > 2 else "east, north"
         taken, unit = f"{taken} to metres {axes} about {origin_text(origin)}", "m"
     moving = ", velocities " + ", ".join(map(table.label, choice.velocities))
-    extent = " x ".join(
-        _length(value) + (f" {unit}" if unit else "") for value in np.ptp(points, axis=0)
-    )
+    spans = np.ptp(points, axis=0)
+    # Less than that is rounding.
+    spans = np.where(spans > SMALLEST_PART * spans.max(), spans, 0)
+    extent = " x ".join(_length(value) + (f" {unit}" if unit else "") for value in spans)
     return (
         f"{table.path.name}: {table.kind}, {len(points)} points{pieces}, {taken}"
         f"{moving if choice.velocities else ''}, {extent}"

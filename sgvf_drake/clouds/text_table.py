@@ -122,6 +122,12 @@ def parse_text(path: Path, text: str) -> TextTable:
     if not lines:
         raise PointCloudError(f"{path} holds no waypoints: it is empty")
     delimiter = _delimiter([content for _, content in lines])
+    line, last = lines[-1]
+    spaced = len(last.split()) > 1 and all(map(_is_number, last.split()))
+    if delimiter == "," and "," in last and spaced:
+        raise PointCloudError(
+            f"{path}, line {line}: decimal commas, or pairs? Separate columns by semicolons"
+        )
     bare = TextTable(path, KINDS[delimiter], None, 0, text=text, delimiter=delimiter, first=0)
     head = next(_split(bare, lines[:1], delimiter))[1]
     names, units, start = _names(bare, lines, head)

@@ -111,7 +111,7 @@ KNOWN = (
 UNDECIDED = (
     ("a,b", "coordinates .none has a name known as one.*'a', 'b'; .* --columns a,b$"),
     ("vx,vy", "--columns vx,vy$"),
-    ("t,speed,heading", "columns 't', 'speed', 'heading'; choose with --columns"),
+    ("t,speed,heading", "columns 't', 'speed', 'heading'; choose, as in --columns"),
     ("x,y,x_ref,y_ref", ".2 sets of them.*--columns x,y$"),
     ("lat,lon,x,y", "2 sets of them"),
     ("home_lat,home_lon,lat,lon", "2 sets of them"),
@@ -120,7 +120,7 @@ UNDECIDED = (
     ("x,x,y", "columns with the same meaning.*--columns 0,1$"),
     ("x,speed", "none has a name"),
     (",0,1", "--columns 0,1$"),
-    (",".join(f"c{n}" for n in range(50)), "'c11' and 38 more; choose with --columns c0,c1$"),
+    (",".join(f"c{n}" for n in range(50)), "'c11' and 38 more; choose, as in --columns c0,c1$"),
     (3, "which of its 3 columns without names .*--columns 0,1 .or --columns 0,1,2 in space.$"),
     (4, "which of its 4 columns without names"),
     (8, "which of its 8 columns without names"),
