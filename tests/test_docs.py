@@ -118,7 +118,7 @@ def test_everything_public_is_on_the_pages(site):
 def test_every_scenario_is_listed(site):
     folder, _ = site
     text = (folder / "experiments.html").read_text(encoding="utf-8")
-    scenarios = sorted((ROOT / "sgvf_drake" / "scenarios").glob("*.yaml"))
+    scenarios = sorted((ROOT / "sgvf_drake" / "paper" / "scenarios").glob("*.yaml"))
     assert scenarios
     for file in scenarios:
         assert f"<code>{file.stem}</code>" in text

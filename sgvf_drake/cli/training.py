@@ -1,10 +1,9 @@
 """The commands that make a field: train, from a file or one of the shapes, and import."""
 
 from collections.abc import Mapping
-from enum import StrEnum
 import math
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -18,27 +17,10 @@ from sgvf_drake.fields import PAPER_GAIN
 RULE_ENTRIES = ("", "-")
 
 
-class RecipeName(StrEnum):
-    """The recipes, as the command line offers them."""
-
-    PAPER = "paper"
-    ROBUST = "robust"
-    EXACT = "exact"
-
-
-class DirectionName(StrEnum):
-    """The directions of travel, as the command line offers them."""
-
-    CCW = "ccw"
-    CW = "cw"
-    REVERSE = "reverse"
-
-
-class SamplingName(StrEnum):
-    """How a named shape is sampled."""
-
-    UNIFORM = "uniform"
-    RANDOM = "random"
+# Here and not from `learning`, which imports torch.
+Recipe = Literal["paper", "robust", "exact"]
+Sampling = Literal["uniform", "random"]
+DIRECTIONS = ("ccw", "cw", "reverse")
 
 
 @app.command()
@@ -59,9 +41,9 @@ def train(
         float | None, typer.Option(help="Noise of the shape's waypoints, std  \\[default: 0].")
     ] = None,
     sampling: Annotated[
-        SamplingName | None, typer.Option(help="Sampling of the shape  \\[default: uniform].")
+        Sampling | None, typer.Option(help="Sampling of the shape  \\[default: uniform].")
     ] = None,
-    recipe: Annotated[RecipeName, typer.Option(help="How to learn.")] = RecipeName.ROBUST,
+    recipe: Annotated[Recipe, typer.Option(help="How to learn.")] = "robust",
     seed: Annotated[int, typer.Option(help="Of every random number of the run.")] = 0,
     is_open: Annotated[
         bool | None,
@@ -137,7 +119,7 @@ def train(
     from sgvf_drake.experiments import run_train
     from sgvf_drake.learning import TrainingConfig
 
-    config = TrainingConfig(recipe=recipe.value, seed=seed, **of_path, **overrides)
+    config = TrainingConfig(recipe=recipe, seed=seed, **of_path, **overrides)
     print_messages(cloud.messages)
     with progress() as report:
         summary = run_train(cloud, config, out, overwrite=overwrite, progress=report)
@@ -208,13 +190,12 @@ def _directions(text: str | None) -> str | tuple[str | None, ...] | None:
 def _direction(entry: str) -> str | None:
     if entry in RULE_ENTRIES:
         return None
-    try:
-        return DirectionName(entry).value
-    except ValueError:
-        names = ", ".join(DirectionName)
+    if entry not in DIRECTIONS:
+        names = ", ".join(DIRECTIONS)
         raise ConfigurationError(
             f"--direction cannot be {entry!r}; choose {names}, or - for the rule"
-        ) from None
+        )
+    return entry
 
 
 def _point(text: str | None) -> tuple[float, ...] | None:
@@ -231,17 +212,17 @@ def _point(text: str | None) -> tuple[float, ...] | None:
 
 
 def _check_recipe(
-    recipe: RecipeName, of_path: Mapping[str, Any], score_iterations: int | None
+    recipe: Recipe, of_path: Mapping[str, Any], score_iterations: int | None
 ) -> None:
     """Refuses options that the recipe would ignore."""
-    if recipe is RecipeName.PAPER:
+    if recipe == "paper":
         for name, value in of_path.items():
             if value is not None:
                 option = "--closed" if value is False else f"--{name}"
                 raise ConfigurationError(
                     f"{option} is not for the recipe paper, which knows no pieces"
                 )
-    if recipe is RecipeName.EXACT and score_iterations is not None:
+    if recipe == "exact" and score_iterations is not None:
         raise ConfigurationError(
             "--score-iterations is not for the recipe exact, which has no score network"
         )
