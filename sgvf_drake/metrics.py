@@ -280,21 +280,13 @@ def _terminal_ends(reference: Reference, ends: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class _Tails:
-    """The ends of the runs, in which agents stay near one piece.
+    """The ends of the runs, in which agents stay near one piece."""
 
-    Attributes:
-        distance: (T, n) distance to the reference.
-        piece: (n,) the piece nearest to the last position.
-        length: (n,) its length L.
-        first: (n,) the sample at which the tail begins; T where there is none.
-        gain: (T, n) arc length gained from each sample to the end; valid in the tail.
-    """
-
-    distance: FloatArray
-    piece: IntArray
-    length: FloatArray
-    first: IntArray
-    gain: FloatArray
+    distance: FloatArray  # (T, n) to the reference.
+    piece: IntArray  # (n,) nearest to the last position.
+    length: FloatArray  # (n,) of that piece, L.
+    first: IntArray  # (n,) the sample at which the tail begins; T where there is none.
+    gain: FloatArray  # (T, n) arc length gained from each sample to the end, in the tail.
 
     @property
     def laps(self) -> FloatArray:

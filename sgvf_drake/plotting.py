@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 import numpy as np
 import pandas as pd
 
-from sgvf_drake.fields import Field, FloatArray
+from sgvf_drake.arrays import Box, FloatArray, plane_grid
+from sgvf_drake.fields import Field
 
 # Okabe and Ito's palette, told apart by colour-blind readers too.
 BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
@@ -22,6 +23,8 @@ MAX_TRAJECTORIES = 60
 FEW_WAYPOINTS = 400
 # The smallest cross-track error that is drawn, relative to the largest.
 ERROR_FLOOR = 1e-4
+# Of lengths, where only the waypoints tell.
+UNIT = "unit of the waypoints"
 # File size and sharpness of every saved figure.
 DPI = 150
 
@@ -42,25 +45,39 @@ def new_figure(
     return figure, list(axes.flat)
 
 
+def legend_below(
+    figure: Figure,
+    handles: Sequence[Artist],
+    labels: Sequence[str] | None = None,
+    columns: int | None = None,
+) -> None:
+    """Adds a legend below all axes of a figure.
+
+    Args:
+        figure: The figure.
+        handles: What is named.
+        labels: Its names; None: the labels of the handles.
+        columns: Entries in a row; None: all of them.
+    """
+    names = [str(handle.get_label()) for handle in handles] if labels is None else labels
+    columns = columns or len(handles)
+    figure.legend(handles, names, loc="outside lower center", ncols=columns, frameon=False)
+
+
 def plane_axes(axes: Axes, unit: str = "", title: str = "") -> None:
     """Labels the axes of a plane and makes its aspect equal."""
     suffix = f" [{unit}]" if unit else ""
     axes.set(xlabel=f"x{suffix}", ylabel=f"y{suffix}", title=title, aspect="equal")
 
 
-def plot_field(
-    axes: Axes, field: Field, box: tuple[FloatArray, FloatArray]
-) -> Sequence[Artist]:
+def plot_field(axes: Axes, field: Field, box: Box) -> Sequence[Artist]:
     """Draws the stream lines of a planar field over a box."""
-    lower, upper = box
-    x = np.linspace(lower[0], upper[0], STREAM_RESOLUTION)
-    y = np.linspace(lower[1], upper[1], STREAM_RESOLUTION)
-    grid = np.stack(np.meshgrid(x, y), axis=-1)
-    m = field(grid.reshape(-1, 2)).reshape(grid.shape)
+    x, y, points = plane_grid(box, STREAM_RESOLUTION)
+    m = field(points).reshape(len(y), len(x), 2)
     lines = axes.streamplot(
         x, y, m[..., 0], m[..., 1], color="#9fb0bb", density=1.6, linewidth=0.6, arrowsize=0.7
     )
-    axes.set(xlim=(lower[0], upper[0]), ylim=(lower[1], upper[1]))
+    axes.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
     return [lines.lines]
 
 

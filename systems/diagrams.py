@@ -26,12 +26,11 @@ from pydrake.systems.primitives import (
 
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
 from sgvf_drake.fields.base import Field
-from systems.guidance import DEFAULT_ALTITUDE, DEFAULT_SPEED
 from systems.guidance_loop import AddGuidance
 from systems.lyapunov_monitor import AddLyapunovMonitor, DifferentiableFunction
 from systems.quadrotor import STATE_SIZE, VELOCITY, QuadrotorParameters
 from systems.scalars import ToFloat
-from systems.sensing import DEFAULT_SAMPLE_PERIOD, MotionCapture, SensorParameters
+from systems.sensing import DEFAULT_SAMPLE_PERIOD, MotionCapture
 from systems.visualization import AddFlightVisualization
 
 INTEGRATION_STEP = 0.005
@@ -43,17 +42,11 @@ def MakeFlightDiagram(
     field: Field,
     parameters: QuadrotorParameters | None = None,
     *,
-    speed: float = DEFAULT_SPEED,
-    altitude: float = DEFAULT_ALTITUDE,
-    sample_period: float = DEFAULT_SAMPLE_PERIOD,
     log_period: float | None = DEFAULT_SAMPLE_PERIOD,
-    feedforward: bool = True,
-    saturate: bool = True,
-    sensors: SensorParameters | None = None,
-    supervisor: Any = None,
     lyapunov: DifferentiableFunction | None = None,
     level: float = math.inf,
     meshcat: Meshcat | None = None,
+    **guidance: Any,
 ) -> Diagram:
     """Returns the diagram of a quadrotor that follows a guiding vector field.
 
@@ -72,18 +65,13 @@ def MakeFlightDiagram(
     Args:
         field: The guiding field, of dimension 2 or 3, in metres.
         parameters: The vehicle; by default the paper's.
-        speed: In m/s, at which the field is followed.
-        altitude: In m; only for a field of dimension 2.
-        sample_period: As in `AddGuidance`.
         log_period: Of the logs in s; 0 logs every step, and None leaves the logs out.
-        feedforward: As in `GuidanceSystem`.
-        saturate: As in `Se3Controller`.
-        sensors: As in `AddGuidance`.
-        supervisor: As in `AddGuidance`.
         lyapunov: A Lyapunov function V of dimension 2 or 3; None: there is no monitor.
         level: Of the sublevel set of V that is watched.
         meshcat: Shows the flight; see `AddFlightVisualization`.  The diagram can then not be
             converted to AutoDiffXd.
+        **guidance: `speed`, `altitude`, `sample_period`, `feedforward`, `saturate`, `sensors`
+            and `supervisor` as in `AddGuidance`.
 
     Raises:
         ConfigurationError: if an argument cannot be used.
@@ -91,19 +79,7 @@ def MakeFlightDiagram(
     parameters = parameters or QuadrotorParameters()
     builder = DiagramBuilder()
     plant = builder.AddNamedSystem("plant", parameters.MakePlant())
-    parts = AddGuidance(
-        builder,
-        field,
-        plant,
-        parameters,
-        speed=speed,
-        altitude=altitude,
-        sample_period=sample_period,
-        feedforward=feedforward,
-        saturate=saturate,
-        sensors=sensors,
-        supervisor=supervisor,
-    )
+    parts = AddGuidance(builder, field, plant, parameters, **guidance)
     builder.ExportOutput(plant.GetOutputPort("state"), "state")
     if log_period is not None:
         logged = [
@@ -111,8 +87,8 @@ def MakeFlightDiagram(
             parts.velocity_command,
             parts.controller.GetOutputPort("propeller_force"),
         ]
-        if supervisor is not None:
-            logged += [supervisor.GetOutputPort(name) for name in ("mode", "branch")]
+        if parts.supervisor is not None:
+            logged += [parts.supervisor.GetOutputPort(name) for name in ("mode", "branch")]
         for port in logged:
             LogVectorOutput(port, builder, log_period).set_name(f"{port.get_name()}_log")
     if lyapunov is not None:

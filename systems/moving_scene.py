@@ -292,10 +292,6 @@ def _Ribbons(points: FloatArray, width: float) -> tuple[FloatArray, IntArray]:
 
     One ribbon lies across each axis, so that one is seen broad from wherever it is looked
     at, and standing still needs no care.  A browser draws plain lines one pixel wide.
-
-    Args:
-        points: Of the line, (n, 3) in m.
-        width: Of a ribbon in m.
     """
     n = len(points)
     offsets = width / 2.0 * np.array([-np.eye(3), np.eye(3)])
@@ -315,21 +311,10 @@ def AddFlightTrail(
     width: float = TRAIL_WIDTH,
     name: str = "trail",
 ) -> FlightTrail:
-    """Adds a `FlightTrail` and connects it.
+    """Adds a `FlightTrail`, called `name`, to a builder and returns it.
 
-    Args:
-        builder: Is changed.
-        state_port: The vehicle's state (12), as QuadrotorPlant's.
-        meshcat: Is drawn to.
-        path: Of the line in Meshcat's scene.
-        width: Of the line in m.
-        name: Of the system.
-
-    Returns:
-        The system that was added.
-
-    Raises:
-        ConfigurationError: if the width is not finite and positive.
+    It is connected to `state_port`, the vehicle's state (12) as QuadrotorPlant's; the other
+    arguments are those of `FlightTrail`.
     """
     trail: Any = builder.AddNamedSystem(name, FlightTrail(meshcat, path, width))
     builder.Connect(state_port, trail.get_input_port())

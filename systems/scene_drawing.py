@@ -176,15 +176,10 @@ def _Grid(lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, float]:
 
 
 def _Arrows(p_W: FloatArray, m: FloatArray, length: float) -> tuple[FloatArray, FloatArray]:
-    """Returns start and end of the strokes of arrows in the middle of points.
+    """Returns start and end (3 n, 3) of the strokes of arrows along m in the middle of points.
 
-    Args:
-        p_W: The points, (n, 3).
-        m: The directions, (n, 3); longer ones than 1 are drawn as long as 1.
-        length: Of an arrow where |m| is 1.
-
-    Returns:
-        Two arrays of shape (3 n, 3): first n shafts, then two strokes of every head.
+    First come n shafts, then two strokes of every head.  `length` is that of an arrow where
+    |m| is 1, or more.
     """
     size = np.linalg.norm(m, axis=1, keepdims=True)
     shaft = length * m / np.maximum(size, 1.0)

@@ -3,77 +3,16 @@
 from contextlib import contextmanager
 import dataclasses
 from dataclasses import dataclass
-from itertools import pairwise
 import json
 
-import numpy as np
 import pytest
 
-from sgvf_drake.clouds import PointCloud
-from sgvf_drake.fields import (
-    FourierFeatures,
-    GaussianMixture,
-    GuidingField,
-    PaperComposition,
-    Perceptron,
-    RobustComposition,
-    ScoreNetwork,
-    load_field,
-)
+from sgvf_drake.fields import load_field
 from sgvf_drake.paths import make_shape
 from tests.data.make import field_file, open_circle
+from tests.fields import random_field, random_perceptron
 
 RECIPES = ("robust", "exact", "paper")
-
-
-def random_perceptron(rng, inputs, hidden, outputs, num_frequencies=0):
-    """A network of order-one outputs and slopes; NumPy only."""
-    features = None
-    widths = [inputs, *hidden, outputs]
-    if num_frequencies:
-        features = FourierFeatures(
-            rng.standard_normal((num_frequencies, inputs)), rng.uniform(-3, 3, num_frequencies)
-        )
-        widths[0] = 2 * num_frequencies
-    weights = [rng.standard_normal((b, a)) / np.sqrt(a) for a, b in pairwise(widths)]
-    biases = [rng.standard_normal(width) for width in widths[1:]]
-    return Perceptron(tuple(weights), tuple(biases), features)
-
-
-def random_field(recipe, dim=2, seed=0, sigma=0.4, gain=0.8, ends=0, support=0):
-    """A field of the form of a recipe with untrained networks, off the origin and the unit.
-
-    Robots come to rest at as many of its waypoints as it has ends; with a support, the
-    exact score is that of as many other points.
-    """
-    rng = np.random.default_rng(seed)
-    frequencies = 0 if recipe == "paper" else 6
-    cloud = PointCloud(3 + 2 * rng.uniform(-1, 1, (30, dim)), shape="random")
-    other = 3 + 2 * np.random.default_rng(seed + 1).uniform(-1, 1, (support, dim))
-    learned = other if support else cloud.points
-    score_model = (
-        GaussianMixture(cloud.normalize(learned), sigma)
-        if recipe == "exact"
-        else ScoreNetwork(
-            random_perceptron(rng, dim + 1, (9, 8), dim, frequencies),
-            1.0 if recipe == "paper" else sigma,
-        )
-    )
-    composition = (
-        PaperComposition(gain) if recipe == "paper" else RobustComposition(gain, sigma)
-    )
-    return GuidingField(
-        cloud=cloud,
-        sigma=sigma,
-        score_model=score_model,
-        tangent_network=random_perceptron(rng, dim, (7,), dim, frequencies),
-        composition=composition,
-        recipe=recipe,
-        seed=seed,
-        support=other if support else None,
-        end_points=cloud.points[:ends] if ends else None,
-        provenance={"training": {"iterations": 7, "hidden": [9, 8]}},
-    )
 
 
 @pytest.fixture(scope="session")
@@ -107,8 +46,6 @@ def stored_field_fixture(name):
 robust_field = stored_field_fixture("robust")
 exact_field = stored_field_fixture("exact")
 paper_field = stored_field_fixture("paper")
-star_field = stored_field_fixture("star")
-square_field = stored_field_fixture("square")
 flight_field = stored_field_fixture("flight")
 open_field = stored_field_fixture("open")
 half_circle_field = stored_field_fixture("half_circle")
@@ -121,33 +58,9 @@ def concentric():
 
 
 @pytest.fixture(scope="session")
-def robust_result(concentric):
-    """The default training of the headline cloud, in about 6 s."""
-    from sgvf_drake.learning import train
-
-    return train(concentric[0])
-
-
-@pytest.fixture(scope="session")
 def open_cloud():
     """Six tenths of a circle of radius 3, from (-2.43, -1.76) around to (3, 0)."""
     return open_circle()
-
-
-@pytest.fixture(scope="session")
-def open_result(open_cloud):
-    """An open path with the closed-form score, in about 4 s."""
-    from sgvf_drake.learning import TrainingConfig, train
-
-    return train(open_cloud, TrainingConfig(recipe="exact"))
-
-
-@pytest.fixture(scope="session")
-def exact_result(concentric):
-    """The same with the closed-form score, in about 3 s."""
-    from sgvf_drake.learning import TrainingConfig, train
-
-    return train(concentric[0], TrainingConfig(recipe="exact"))
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,7 @@ DOCS = ROOT / "docs"
 # The page of each package; what `sgvf_drake` itself exports stands on those of its parts.
 PAGES = {
     "systems": "api/systems.html",
+    "sgvf_drake.clouds": "api/clouds.html",
     "sgvf_drake.paths": "api/paths.html",
     "sgvf_drake.fields": "api/fields.html",
     "sgvf_drake.learning": "api/learning.html",
@@ -117,7 +118,7 @@ def test_everything_public_is_on_the_pages(site):
 def test_every_scenario_is_listed(site):
     folder, _ = site
     text = (folder / "experiments.html").read_text(encoding="utf-8")
-    scenarios = sorted((ROOT / "sgvf_drake" / "scenarios").glob("*.yaml"))
+    scenarios = sorted((ROOT / "sgvf_drake" / "paper" / "scenarios").glob("*.yaml"))
     assert scenarios
     for file in scenarios:
         assert f"<code>{file.stem}</code>" in text

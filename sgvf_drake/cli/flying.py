@@ -25,6 +25,9 @@ from sgvf_drake.cli.tables import (
 )
 from sgvf_drake.exceptions import ConfigurationError
 
+# Relative resolution of the numbers in a browser's scene, and what a quadrotor needs, in m.
+SINGLE_PRECISION, SHARP = 2.0**-23, 0.01
+
 
 @app.command()
 def follow(
@@ -165,6 +168,13 @@ def _view(
     from sgvf_drake.experiments import View, tube_curves
     from systems import MakeMeshcat
 
+    largest = scale * max(float(abs(bound).max()) for bound in loaded.cloud.box)
+    if largest * SINGLE_PRECISION > SHARP:
+        message = (
+            f"warning: browsers resolve {largest * SINGLE_PRECISION:.2g} m at coordinates of "
+            f"{largest:.2g} m; subtract an offset from the waypoints to see more"
+        )
+        errors.print(message, style="bold red", soft_wrap=True)
     curves = () if results is None else tube_curves(loaded, results, scale, speed)
     viewer = MakeMeshcat() if meshcat else None
     if viewer is not None:

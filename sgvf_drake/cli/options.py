@@ -1,6 +1,5 @@
 """Options that several commands share, and how their values are read."""
 
-from enum import StrEnum
 import math
 from pathlib import Path
 from typing import Annotated
@@ -37,16 +36,10 @@ def columns_of(columns: str | None, file: Path | None, option: str) -> list[str 
     return [name.strip() for name in columns.split(",")]
 
 
+# Here and not from `paths`, which imports numba.
+DIRECTIONS = ("ccw", "cw", "reverse")
 # Entries of --direction that leave a piece to the rule.
 RULE_ENTRIES = ("", "-")
-
-
-class DirectionName(StrEnum):
-    """The directions of travel, as the command line offers them."""
-
-    CCW = "ccw"
-    CW = "cw"
-    REVERSE = "reverse"
 
 
 def directions_of(text: str | None) -> str | tuple[str | None, ...] | None:
@@ -60,13 +53,12 @@ def directions_of(text: str | None) -> str | tuple[str | None, ...] | None:
 def _direction(entry: str) -> str | None:
     if entry in RULE_ENTRIES:
         return None
-    try:
-        return DirectionName(entry).value
-    except ValueError:
-        names = ", ".join(DirectionName)
+    if entry not in DIRECTIONS:
+        names = ", ".join(DIRECTIONS)
         raise ConfigurationError(
             f"--direction cannot be {entry!r}; choose {names}, or - for the rule"
-        ) from None
+        )
+    return entry
 
 
 def point_of(text: str | None) -> tuple[float, ...] | None:

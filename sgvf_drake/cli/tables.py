@@ -109,27 +109,20 @@ def print_flight(summary: Mapping[str, Any]) -> None:
     """Prints the summary of flights, a row a piece."""
     demand, limit = summary["acceleration_demand_m_s2"], summary["acceleration_limit_m_s2"]
     verdict = "feasible" if demand < limit else "NOT feasible"
-    table = Table(title="Flight", title_justify="left")
-    # Broken so that the table fits in 80 columns.
-    headings = ("piece", "RMS\n[m]", "max\n[m]", "speed\n[m/s]", "altitude\nRMS [m]")
-    aim = _aim(summary["pieces"])
-    for heading in (*headings, "force\n[N]", "satu-\nrated", aim, "x real\ntime"):
-        # As text, since "[m]" would be markup.
-        table.add_column(Text(heading), justify="right")
-    for piece in summary["pieces"]:
-        table.add_row(
-            str(piece["piece"] + 1),
-            _number(piece["cross_track_rms_m"]),
-            _number(piece["cross_track_max_m"]),
-            f"{piece['speed_mean_m_s']:.3f}",
-            _number(piece["altitude_rms_m"]),
-            f"{piece['motor_force_max_n']:.2f}",
-            f"{piece['saturated_fraction']:.1%}",
-            _completion(piece),
-            f"{piece['real_time_factor']:.0f}",
-        )
+    # Headings are broken so that the table fits in 80 columns.
+    columns: dict[str, Callable[[Any], str]] = {
+        "piece": lambda piece: str(piece["piece"] + 1),
+        "RMS\n[m]": lambda piece: _number(piece["cross_track_rms_m"]),
+        "max\n[m]": lambda piece: _number(piece["cross_track_max_m"]),
+        "speed\n[m/s]": lambda piece: f"{piece['speed_mean_m_s']:.3f}",
+        "altitude\nRMS [m]": lambda piece: _number(piece["altitude_rms_m"]),
+        "force\n[N]": lambda piece: f"{piece['motor_force_max_n']:.2f}",
+        "satu-\nrated": lambda piece: f"{piece['saturated_fraction']:.1%}",
+        _aim(summary["pieces"]): _completion,
+        "x real\ntime": lambda piece: f"{piece['real_time_factor']:.0f}",
+    }
     console.print(f"acceleration {demand:.2f} of {limit:.1f} m/s^2: {verdict}", highlight=False)
-    console.print(table)
+    print_columns("Flight", columns, summary["pieces"], "right", first="right")
     if "certificate" in summary:
         console.print(_margin(summary["certificate"]), highlight=False)
 
@@ -149,22 +142,23 @@ def _margin(found: Mapping[str, Any]) -> str:
 
 def print_tour(summary: Mapping[str, Any]) -> None:
     """Prints the summary of a tour, a row for each leg and each transfer in turn."""
-    table = Table(title="Tour", title_justify="left")
-    headings = ("from [s]", "flight", "RMS [m]", "max [m]", "speed [m/s]", "force [N]")
-    for heading in headings:
-        table.add_column(Text(heading), justify="right")
-    parts = [*summary["legs"], *summary["transfers"]]
-    for part in sorted(parts, key=lambda part: part["begin_s"]):
-        along = "cross_track_rms_m" in part
-        table.add_row(
-            f"{part['begin_s']:.1f}",
-            f"{'along' if along else 'to'} piece {part['piece'] + 1}",
-            _number(part.get("cross_track_rms_m")),
-            _number(part.get("cross_track_max_m")),
-            f"{part['speed_min_m_s']:.2f} - {part['speed_max_m_s']:.2f}",
-            f"{part['motor_force_min_n']:.2f} - {part['motor_force_max_n']:.2f}",
-        )
-    console.print(table)
+
+    def flight(part: Mapping[str, Any]) -> str:
+        return f"{'along' if 'cross_track_rms_m' in part else 'to'} piece {part['piece'] + 1}"
+
+    def span(part: Mapping[str, Any], low: str, high: str) -> str:
+        return f"{part[low]:.2f} - {part[high]:.2f}"
+
+    columns: dict[str, Callable[[Any], str]] = {
+        "from [s]": lambda part: f"{part['begin_s']:.1f}",
+        "flight": flight,
+        "RMS [m]": lambda part: _number(part.get("cross_track_rms_m")),
+        "max [m]": lambda part: _number(part.get("cross_track_max_m")),
+        "speed [m/s]": lambda part: span(part, "speed_min_m_s", "speed_max_m_s"),
+        "force [N]": lambda part: span(part, "motor_force_min_n", "motor_force_max_n"),
+    }
+    parts = sorted([*summary["legs"], *summary["transfers"]], key=lambda part: part["begin_s"])
+    print_columns("Tour", columns, parts, "right", first="right")
     if not summary["completed"]:
         errors.print("warning: the tour was not completed", style="bold red")
 
@@ -190,17 +184,18 @@ def print_columns(
     columns: Mapping[str, Callable[[Any], str | Text]],
     rows: Iterable[Any],
     justify: JustifyMethod = "left",
+    first: JustifyMethod = "left",
     **layout: Any,
 ) -> None:
     """Prints a table with one line a row: each column is a heading and what makes a cell.
 
-    The first column is never broken into lines; `justify` is for the others.
+    The first column, which `first` aligns, is never broken into lines.
     """
     table = Table(title=title, title_justify="left", **layout)
     for number, heading in enumerate(columns):
         # As text, since "[m]" would be markup.
         table.add_column(
-            Text(heading), justify=justify if number else "left", no_wrap=number == 0
+            Text(heading), justify=justify if number else first, no_wrap=number == 0
         )
     for row in rows:
         cells = (cell(row) for cell in columns.values())

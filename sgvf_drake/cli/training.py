@@ -1,9 +1,8 @@
 """The commands that make a field: train, from a file or one of the shapes, and import."""
 
 from collections.abc import Mapping
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -13,20 +12,9 @@ from sgvf_drake.cli.tables import print_folder, print_import, print_messages, pr
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import PAPER_GAIN
 
-
-class RecipeName(StrEnum):
-    """The recipes, as the command line offers them."""
-
-    PAPER = "paper"
-    ROBUST = "robust"
-    EXACT = "exact"
-
-
-class SamplingName(StrEnum):
-    """How a named shape is sampled."""
-
-    UNIFORM = "uniform"
-    RANDOM = "random"
+# Here and not from `learning`, which imports torch.
+Recipe = Literal["paper", "robust", "exact"]
+Sampling = Literal["uniform", "random"]
 
 
 @app.command()
@@ -47,9 +35,9 @@ def train(
         float | None, typer.Option(help="Noise of the shape's waypoints, std  \\[default: 0].")
     ] = None,
     sampling: Annotated[
-        SamplingName | None, typer.Option(help="Sampling of the shape  \\[default: uniform].")
+        Sampling | None, typer.Option(help="Sampling of the shape  \\[default: uniform].")
     ] = None,
-    recipe: Annotated[RecipeName, typer.Option(help="How to learn.")] = RecipeName.ROBUST,
+    recipe: Annotated[Recipe, typer.Option(help="How to learn.")] = "robust",
     seed: Annotated[int, typer.Option(help="Of every random number of the run.")] = 0,
     is_open: Annotated[
         bool | None,
@@ -125,7 +113,7 @@ def train(
     from sgvf_drake.experiments import run_train
     from sgvf_drake.learning import TrainingConfig
 
-    config = TrainingConfig(recipe=recipe.value, seed=seed, **of_path, **overrides)
+    config = TrainingConfig(recipe=recipe, seed=seed, **of_path, **overrides)
     print_messages(cloud.messages)
     with progress() as report:
         summary = run_train(cloud, config, out, overwrite=overwrite, progress=report)
@@ -186,17 +174,17 @@ def import_(
 
 
 def _check_recipe(
-    recipe: RecipeName, of_path: Mapping[str, Any], score_iterations: int | None
+    recipe: Recipe, of_path: Mapping[str, Any], score_iterations: int | None
 ) -> None:
     """Refuses options that the recipe would ignore."""
-    if recipe is RecipeName.PAPER:
+    if recipe == "paper":
         for name, value in of_path.items():
             if value is not None:
                 option = "--closed" if value is False else f"--{name}"
                 raise ConfigurationError(
                     f"{option} is not for the recipe paper, which knows no pieces"
                 )
-    if recipe is RecipeName.EXACT and score_iterations is not None:
+    if recipe == "exact" and score_iterations is not None:
         raise ConfigurationError(
             "--score-iterations is not for the recipe exact, which has no score network"
         )

@@ -8,6 +8,7 @@ names leave a choice it is the user's, never a guess.
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 import re
+import shlex
 from typing import Literal
 
 import numpy as np
@@ -38,7 +39,20 @@ UNITS = {
 
 POSITION_WORDS = {
     *("p", "pos", "position", "pose", "point", "t", "translation", "transform", "location"),
-    *("coord", "gps", "utm", "local", "global", "world", "map", "odom", "mocap", "enu", "ned"),
+    *(
+        "coord",
+        "field",
+        "gps",
+        "utm",
+        "local",
+        "global",
+        "world",
+        "map",
+        "odom",
+        "mocap",
+        "enu",
+        "ned",
+    ),
 }
 """In front of its axis, a coordinate has one of these words or none."""
 
@@ -48,17 +62,19 @@ OTHER_WORDS = {
     *("a", "acc", "accel", "acceleration", "linear", "angular", "twist", "gyro", "w", "omega"),
     *("q", "quat", "quaternion", "orientation", "rot", "rotation", "mag", "force", "torque"),
     *("std", "var", "variance", "cov", "covariance", "sigma", "err", "error", "bias", "jerk"),
-    *("normvec", "normal"),
+    *("normvec", "normal", "magnetic", "vector"),
 }
 """Words of what has axes too, but is neither a position nor a velocity along them.  A twist
 of ROS is one along the axes of the robot."""
 
 SETS = (("x", "y", "z"), ("e", "n", "u"), ("e", "n", "d"), ("lat", "lon"))
-"""Axes that belong together; of the third ones only the first two are needed.  An altitude
-beside degrees is taken where it is asked for."""
+"""Axes that belong together; the first two of each are needed.  An altitude beside degrees is
+taken where it is asked for."""
 
 TUM = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
 KITTI = ("r00", "r01", "r02", "x", "r10", "r11", "r12", "y", "r20", "r21", "r22", "z")
+
+KITTI_NOTE = "y points down, as in a camera; the ground is --columns x,z"
 
 UNIT_TOLERANCE = 1e-2
 """How far the length of a quaternion, or a product of axes, is from what it should be."""
@@ -119,7 +135,7 @@ def choose_columns(table: Table, columns: Sequence[str | int] | None) -> Choice:
     axes = tuple("" if name is None or name.moves else name.axis for name in known)
     choice = Choice(numbers, axes)
     if choice.frame in ("degrees", "ned"):
-        # These are turned into east and north, so their order in the file says nothing.
+        # These are turned into east and north, so the order that they are given in is none.
         order = ("lat", "lon", "alt") if choice.frame == "degrees" else ("e", "n", "d")
         pairs = sorted(zip(axes, numbers, strict=True), key=lambda pair: order.index(pair[0]))
         axes, numbers = zip(*pairs, strict=True)
@@ -128,11 +144,21 @@ def choose_columns(table: Table, columns: Sequence[str | int] | None) -> Choice:
     return _with_velocities(Choice(numbers, axes), names)
 
 
-def name_trajectory(table: Table) -> tuple[str, Sequence[str]] | None:
+def altitude_of(table: Table) -> str | None:
+    """Returns the name of the first column that is an altitude, if there is one."""
+    for name in table.names or ():
+        known = _understand(name)
+        if known is not None and known.axis == "alt" and not known.moves:
+            return name
+    return None
+
+
+def name_trajectory(table: Table) -> tuple[str, Sequence[str], Sequence[str]] | None:
     """Recognises trajectories whose columns have no names, by how many and how they agree.
 
     Returns:
-        "TUM trajectory" or "KITTI poses", and the names of the columns; or None.
+        "TUM trajectory" or "KITTI poses", the names of the columns, and what is to be said;
+        or None.
     """
     if table.names is not None or table.num_columns not in (len(TUM), len(KITTI)):
         return None
@@ -143,12 +169,12 @@ def name_trajectory(table: Table) -> tuple[str, Sequence[str]] | None:
     values = values[~np.isnan(values).all(axis=1)]
     if len(TUM) == table.num_columns:
         fits = np.abs(np.linalg.norm(values[:, 4:], axis=1) - 1) <= UNIT_TOLERANCE
-        return ("TUM trajectory", TUM) if fits.all() else None
+        return ("TUM trajectory", TUM, ()) if fits.all() else None
     rotation = values.reshape(-1, 3, 4)[..., :3]
     product = rotation @ rotation.transpose(0, 2, 1) - np.eye(3)
     fits = (np.abs(product) <= UNIT_TOLERANCE).all(axis=(1, 2))
     fits &= np.linalg.det(rotation) > 0
-    return ("KITTI poses", KITTI) if fits.all() else None
+    return ("KITTI poses", KITTI, (KITTI_NOTE,)) if fits.all() else None
 
 
 def _known_columns(table: Table, names: Sequence[_Name | None]) -> Choice:
@@ -232,6 +258,9 @@ def _understand(name: str) -> _Name | None:
         return None
     if VELOCITY_WORDS & {*around}:
         return _Name(axis, around, moves=True)
+    if axis in ("lat", "lon", "alt"):
+        # Unmistakable in any place, but for their unit.
+        return None if "rad" in name.lower() else _Name(axis, around, moves=False)
     if front and not POSITION_WORDS & {*front}:
         return None
     if "ned" in around:
@@ -282,7 +311,7 @@ def _undecided(table: Table, reason: str, example: Sequence[int]) -> PointCloudE
         by_name = [str(number) for number in example[:2]]
     return table.error(
         f"cannot tell which columns are coordinates ({reason}): it has {table.columns_text}; "
-        f"choose with --columns {','.join(by_name)}"
+        f"choose, as in --columns {shlex.quote(','.join(by_name))}"
     )
 
 

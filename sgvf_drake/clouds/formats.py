@@ -3,6 +3,8 @@
 from array import array
 import io
 from pathlib import Path
+from tokenize import TokenError
+import warnings
 from xml.parsers import expat
 import zipfile
 import zlib
@@ -33,7 +35,7 @@ GPX_PIECES = {"trkseg", "rte"}
 # What NumPy and zipfile raise of damaged, encrypted and lying files.
 _NUMPY_FAULTS = (
     *(ValueError, TypeError, EOFError, OSError, OverflowError, MemoryError),
-    *(RuntimeError, zipfile.BadZipFile, zlib.error),
+    *(RuntimeError, SyntaxError, TokenError, zipfile.BadZipFile, zlib.error),
 )
 
 
@@ -195,7 +197,10 @@ def parse_numpy(path: Path, data: bytes) -> ArrayTable:
     try:
         if kind == ".npz":
             data = _only_member(path, data)
-        values = np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
+        with warnings.catch_warnings():
+            # Of headers that Python 2 may have written, or nobody.
+            warnings.simplefilter("ignore")
+            values = np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
     except PointCloudError:
         raise
     except _NUMPY_FAULTS as error:

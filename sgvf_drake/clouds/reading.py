@@ -11,7 +11,7 @@ import re
 import numpy as np
 
 from sgvf_drake.arrays import FloatArray, IntArray
-from sgvf_drake.clouds.columns import Choice, choose_columns, name_trajectory
+from sgvf_drake.clouds.columns import Choice, altitude_of, choose_columns, name_trajectory
 from sgvf_drake.clouds.formats import (
     MISSION_HEADER,
     parse_gpx,
@@ -31,6 +31,9 @@ FARTHEST = 500e3
 
 UNIT_IN_NAME = re.compile(r"[\[(_ ](m|mm|cm|km|ft)[\])]?$")
 """Units of length at the end of a name: "x_m", "X [mm]"."""
+
+SMALLEST_PART = 1e-9
+"""An extent below this part of the largest one is told as none."""
 
 SINGLE_POINTS = 0.5
 """Blank lines are layout, and separate nothing, if more of the pieces than this part of them
@@ -85,15 +88,15 @@ def read_recording(
     table = _parse(path, read_bytes(path))
     trajectory = name_trajectory(table)
     if trajectory is not None:
-        kind, names = trajectory
-        table = replace(table, kind=kind, names=names)
+        kind, names, notes = trajectory
+        table = replace(table, kind=kind, names=names, notes=notes)
     if isinstance(columns, str):
         columns = [name.strip() for name in columns.split(",")]
     choice = choose_columns(table, columns)
     rows = _present(table, choice)
     dim = len(choice.columns)
     points, velocities = rows.values[:, :dim], rows.values[:, dim:]
-    notes = [*table.notes, *_left_out(table, choice)]
+    said = [*table.notes, *_left_out(table, choice)]
     if choice.frame == "degrees":
         points, origin = _local(table, points, rows.places, origin)
     else:
@@ -101,16 +104,16 @@ def read_recording(
         if choice.frame == "ned":
             points = points * [1, 1, -1]
             velocities = velocities * [1, 1, -1] if choice.velocities else velocities
-            notes.append("north, east, down became east, north, up")
+            said.append("north, east, down became east, north, up")
     breaks = _breaks(rows, len(points))
     told = _told(table, choice, points, breaks, origin)
-    notes += _constant(table, choice, points)
+    said += [*_constant(table, choice, points), *_below_ground(table, choice, points)]
     return Recording(
         points,
         np.nan_to_num(velocities, nan=0.0) if velocities.shape[1] else None,
         breaks,
         origin,
-        (told, *(f"{path.name}: {note}" for note in notes)),
+        (told, *(f"{path.name}: {note}" for note in said)),
     )
 
 
@@ -121,7 +124,7 @@ def _parse(path: Path, data: bytes) -> Table:
     text = decode(path, data)
     start = text[:100].lstrip()
     if start.startswith("<"):
-        return parse_gpx(path, text.lstrip("\n"))
+        return parse_gpx(path, text.lstrip())
     if start.startswith(MISSION_HEADER):
         return parse_mission(path, text)
     refused = unreadable(path, start)
@@ -172,7 +175,7 @@ def _local(
     near = origin or middle(*_typical(latitude, longitude))
     origin = origin or middle(latitude, longitude)
     local = east_north_up(latitude, longitude, height, near)
-    far = np.flatnonzero(np.linalg.norm(local[:, :2], axis=1) > FARTHEST)
+    far = np.flatnonzero(np.linalg.norm(local, axis=1) > FARTHEST)
     if len(far):
         place = int(places[far[0]])
         away = np.linalg.norm(local[far[0]]) / 1e3
@@ -208,9 +211,10 @@ def _told(
         axes = "east, north, up" if points.shape[1] > 2 else "east, north"
         taken, unit = f"{taken} to metres {axes} about {origin_text(origin)}", "m"
     moving = ", velocities " + ", ".join(map(table.label, choice.velocities))
-    extent = " x ".join(
-        _length(value) + (f" {unit}" if unit else "") for value in np.ptp(points, axis=0)
-    )
+    spans = np.ptp(points, axis=0)
+    # Less than that is rounding.
+    spans = np.where(spans > SMALLEST_PART * spans.max(), spans, 0)
+    extent = " x ".join(_length(value) + (f" {unit}" if unit else "") for value in spans)
     return (
         f"{table.path.name}: {table.kind}, {len(points)} points{pieces}, {taken}"
         f"{moving if choice.velocities else ''}, {extent}"
@@ -227,32 +231,34 @@ def _unit(table: Table, choice: Choice) -> str:
 
 
 def _left_out(table: Table, choice: Choice) -> list[str]:
-    """Notes on altitudes that were not taken."""
-    if choice.frame != "degrees" or len(choice.columns) > 2 or table.names is None:
-        return []
-    height = next((name for name in table.names if name.lower()[:3] in ("alt", "ele")), None)
-    if height is None:
+    """A note on an altitude that was not taken."""
+    height = altitude_of(table)
+    if height is None or choice.frame != "degrees" or len(choice.columns) > 2:
         return []
     names = [table.label(column) for column in choice.columns]
     return [f"{height} left out; take it with --columns {','.join([*names, height])}"]
 
 
 def _constant(table: Table, choice: Choice, points: FloatArray) -> list[str]:
-    """Notes on coordinates that are the same everywhere, with what to do."""
+    """A note on a coordinate that is the same everywhere, with what to do."""
     still = [int(axis) for axis in np.flatnonzero(np.ptp(points, axis=0) == 0)]
     if len(points) < 2 or not still or len(still) == points.shape[1]:
         return []
-    axis = still[0]
-    value = f"{points[0, axis]:.6g}"
-    name = table.label(choice.columns[axis])
-    notes = [f"{name} is constant ({value})"]
+    column = choice.columns[still[0]]
+    note = f"{table.label(column)} is constant ({points[0, still[0]]:.6g})"
     if points.shape[1] > 2:
-        others = [column for number, column in enumerate(choice.columns) if number != axis]
-        labels = [str(table.names[column] if table.names else column) for column in others]
-        notes = [f"{notes[0]}; for a path in the plane take --columns {','.join(labels)}"]
-        if axis == 2 and points[0, axis] < 0 and choice.frame == "plain":
-            notes.append(f"{name} is below the ground; are these north, east, down?")
-    return notes
+        others = [other for other in choice.columns if other != column]
+        labels = [str(table.names[other] if table.names else other) for other in others]
+        note += f"; for a path in the plane take --columns {','.join(labels)}"
+    return [note]
+
+
+def _below_ground(table: Table, choice: Choice, points: FloatArray) -> list[str]:
+    """A note where no point in space is above the ground, as where z points down."""
+    if points.shape[1] != 3 or choice.frame != "plain" or not (points[:, 2] < 0).all():
+        return []
+    name = table.label(choice.columns[2])
+    return [f"{name} is below the ground; are these north, east, down?"]
 
 
 def _length(value: float) -> str:

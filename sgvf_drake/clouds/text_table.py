@@ -122,6 +122,12 @@ def parse_text(path: Path, text: str) -> TextTable:
     if not lines:
         raise PointCloudError(f"{path} holds no waypoints: it is empty")
     delimiter = _delimiter([content for _, content in lines])
+    line, last = lines[-1]
+    spaced = len(last.split()) > 1 and all(map(_is_number, last.split()))
+    if delimiter == "," and "," in last and spaced:
+        raise PointCloudError(
+            f"{path}, line {line}: decimal commas, or pairs? Separate columns by semicolons"
+        )
     bare = TextTable(path, KINDS[delimiter], None, 0, text=text, delimiter=delimiter, first=0)
     head = next(_split(bare, lines[:1], delimiter))[1]
     names, units, start = _names(bare, lines, head)
@@ -165,6 +171,9 @@ def _contents(path: Path, text: str) -> Iterator[tuple[int, str | None, str]]:
             content, _, comment = raw.partition("#")
         if content.lstrip().startswith(("%", "//")):
             content, comment = "", content.strip().lstrip("%/")
+        if line == 1 and re.fullmatch(r"sep=.\s*", content):
+            # What a spreadsheet tells another one.
+            content = ""
         yield line, (content if content.strip() or content == raw else None), comment
 
 

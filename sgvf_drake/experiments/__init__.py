@@ -1,15 +1,16 @@
-"""Experiments: what the commands run, each as a Drake simulation with its results."""
+"""Experiments: what the commands run, each as a Drake simulation with its results.
+
+Every `run_...` returns the summary that it leaves in the folder `out`, tells `progress` how far
+it is, and replaces results there only where `overwrite` says so.  Its `reference` is one from
+`choose_reference` or `choose_path`; None: the best there is without a file.
+"""
 
 from sgvf_drake.experiments.certified import CertifiedField, as_flown
 from sgvf_drake.experiments.certify import run_certify
-from sgvf_drake.experiments.figures import (
-    log_density_figure,
-    singularity_figure,
-    theorem_figure,
-    tour_figure,
-    tracking_figure,
-    verification_figure,
-)
+from sgvf_drake.experiments.figures.runs import tour_figure
+from sgvf_drake.experiments.figures.singularities import log_density_figure, singularity_figure
+from sgvf_drake.experiments.figures.tracking import tracking_figure
+from sgvf_drake.experiments.figures.verification import theorem_figure, verification_figure
 from sgvf_drake.experiments.flight import FlightSpec, check_feasibility, flight_log, simulate
 from sgvf_drake.experiments.fly import FlightResult, fly
 from sgvf_drake.experiments.follow import FollowResult, follow

@@ -32,19 +32,9 @@ def run_certify(
     overwrite: bool = False,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
-    """Certifies a field; leaves the certificate, its figure and the summary.
+    """Certifies a planar field; leaves the certificate, its figure and the summary.
 
-    Args:
-        field: The field, planar.
-        reference: From `choose_path`; None: the best there is without a file.
-        out: The folder of the results.
-        claimed: A certificate of the field that is proved anew, without a search; None: one is
-            searched for.
-        overwrite: Whether results there may be replaced.
-        progress: Told how far it is.
-
-    Returns:
-        The summary.
+    A `claimed` certificate of the field is proved anew; without one, one is searched for.
 
     Raises:
         ConfigurationError: The field is not planar, nothing bounds it, or what is claimed is

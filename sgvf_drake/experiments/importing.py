@@ -7,7 +7,7 @@ from typing import Any
 
 from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.experiments.figures import field_figure
+from sgvf_drake.experiments.figures.runs import field_figure
 from sgvf_drake.experiments.results import SUMMARY, result_folder, save_figure, write_summary
 from sgvf_drake.experiments.runs import FIELD_FILE
 from sgvf_drake.fields import (
@@ -47,9 +47,6 @@ def run_import(
         gain: k_s of the normalised score, with the score per unit of the waypoints.
         normalise: Whether the field is brought to length one.
         overwrite: Whether results there may be replaced.
-
-    Returns:
-        The summary.
 
     Raises:
         FieldFileError: If a file holds no such network.

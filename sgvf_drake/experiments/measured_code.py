@@ -23,11 +23,7 @@ _ROOTS = {root.__name__: Path(root.__file__ or "").parent for root in (sgvf_drak
 
 @cache
 def code_digest(*roots: Any) -> str:
-    """Returns a digest of the code under functions and classes, as it is when first asked.
-
-    Args:
-        roots: Functions and classes of modules.
-    """
+    """Returns a digest of the code under functions and classes, as it is when first asked."""
     names: dict[Path, set[str]] = {}
     for root in roots:
         # What is defined inside of a function counts with all of that function.

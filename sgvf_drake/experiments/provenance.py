@@ -29,23 +29,15 @@ def provenance() -> dict[str, Any]:
 
 def _commit() -> str | None:
     package = Path(sgvf_drake.__file__).parent
-    command = ["git", "-C", str(package)]
     try:
-        top = subprocess.run(
-            [*command, "rev-parse", "--show-toplevel"],
-            capture_output=True,
-            text=True,
-            check=True,
-        )
         # An environment inside of some other project is not its checkout.
-        if Path(top.stdout.strip()) != package.parent.resolve():
+        if Path(_git(package, "rev-parse", "--show-toplevel")) != package.parent.resolve():
             return None
-        described = subprocess.run(
-            [*command, "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"],
-            capture_output=True,
-            text=True,
-            check=True,
-        )
+        return _git(package, "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*")
     except (OSError, subprocess.CalledProcessError):
         return None
-    return described.stdout.strip()
+
+
+def _git(folder: Path, *arguments: str) -> str:
+    command = ["git", "-C", str(folder), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()

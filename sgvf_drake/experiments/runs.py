@@ -9,8 +9,8 @@ from typing import Any
 import pandas as pd
 
 from sgvf_drake.clouds import PointCloud
-from sgvf_drake.experiments import figures
 from sgvf_drake.experiments.certified import CERTIFICATE_FIGURE, CertifiedField
+from sgvf_drake.experiments.figures import runs as figures
 from sgvf_drake.experiments.figures.certificate import certificate_figure
 from sgvf_drake.experiments.flight import FlightSpec
 from sgvf_drake.experiments.fly import fly
@@ -50,11 +50,6 @@ def open_field(path: Folder) -> GuidingField:
     """
     path = Path(path)
     return load_field(path / FIELD_FILE if path.is_dir() else path)
-
-
-# Every run takes the folder of its results, whether results there may be replaced, and who is
-# told how far it is; the reference is one from `choose_reference`, or None for the best there
-# is without a file.  It returns its summary.
 
 
 def run_train(

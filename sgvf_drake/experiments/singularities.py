@@ -42,15 +42,7 @@ def run_singularities(
 ) -> dict[str, Any]:
     """Finds the zeros of a field; leaves a table, two figures and the summary.
 
-    Args:
-        field: The field, planar.
-        reference: From `choose_reference`; None: the best there is without a file.
-        out: The folder of the results.
-        prove: Whether to enclose the zeros too, with a proof that there are no others.
-        overwrite: Whether results there may be replaced.
-
-    Returns:
-        The summary.
+    To `prove` is to enclose the zeros too, with a proof that there are no others.
 
     Raises:
         ConfigurationError: The field is not planar, its zeros have no index, or nothing bounds
@@ -72,7 +64,7 @@ def run_singularities(
         save_figure(log_density_figure(field, found), folder / "log_density.png")
         summary = {
             **singularity_summary(found),
-            "vanishing": vanishing.summary(),
+            "vanishing": vanishing.summary,
             "zeros": zeros,
             **proved,
             "time_s": elapsed,
@@ -129,8 +121,8 @@ def zero_rows(found: Singularities, vanishing: Vanishing) -> list[Row]:
     around = {"guiding": vanishing.guiding, "score": vanishing.score}
     rows = []
     for name, zeros in found.by_field.items():
-        for number, zero in enumerate(zeros.zeros):
-            row = {
+        own: list[Row] = [
+            {
                 "field": zero.field,
                 "point": zero.point,
                 "index": zero.index,
@@ -139,7 +131,12 @@ def zero_rows(found: Singularities, vanishing: Vanishing) -> list[Row]:
                 "eigenvalues": [[value.real, value.imag] for value in zero.eigenvalues],
                 "residual": zero.residual,
             }
-            rows.append(row | (around[name].at(number) if name in around else {}))
+            for zero in zeros.zeros
+        ]
+        if name in around:
+            columns: Any = around[name].drop(columns=["indices", "isolated"]).to_dict("records")
+            own = [{**row, **here} for row, here in zip(own, columns, strict=True)]
+        rows += own
     return rows
 
 

@@ -339,11 +339,7 @@ def flight_margin(certified: CertifiedField, flight: PieceFlight, speed: float) 
 
 
 def margin_summary(flights: Sequence[FlightMargin]) -> dict[str, Any]:
-    """Returns the worst of the flights, each of them, and what none of them covers.
-
-    Args:
-        flights: One a piece; at least one, all against the same certificate.
-    """
+    """Returns the worst of flights against one certificate, and what none of them covers."""
     found, proved = flights[0].certified.certificate, flights[0].certified.conditions
     pieces = [flight.summary() for flight in flights]
     worst = ("error_max", "worst_ratio", "time_outside_s", "covering_level")

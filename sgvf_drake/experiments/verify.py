@@ -58,18 +58,9 @@ def run_verify(
 ) -> dict[str, Any]:
     """Verifies a field; leaves the maps, the trajectories' figure and the summary.
 
-    Args:
-        field: The field; in metres where it is to be flown.
-        reference: From `choose_path`; None: the best there is without a file.
-        out: The folder of the results.
-        starts: Agents that follow it; a grid over the box, of which those inside count.
-        speed: In m/s: the quadrotor flies along every piece too; None: it does not.
-        altitude: Height of that flight, m.
-        overwrite: Whether results there may be replaced.
-        progress: Told how far it is.
-
-    Returns:
-        The summary.
+    The field is in metres where it is to be flown.  `starts` agents follow it from a grid over
+    the box, of which those inside count.  With a `speed` in m/s the quadrotor flies along every
+    piece too, at the `altitude` in m.
 
     Raises:
         ConfigurationError: The field is not planar, or a value cannot be used.
@@ -138,8 +129,8 @@ def verification_summary(field: GuidingField, found: Verification) -> dict[str, 
         and {"levels": margins.levels, "e_star": margins.e_star, "weakest": margins.weakest},
         "undecided": found.zeros.undecided,
         "violations": [asdict(violation) for violation in found.violations],
-        "assumptions": {**found.assumptions.summary(), "a3": a3},
-        "lemma": found.lemma.summary(),
+        "assumptions": {**found.assumptions, "a3": a3},
+        "lemma": found.lemma,
         "bounds": {bound.name: bound.summary() for bound in found.bounds},
     }
 

@@ -11,9 +11,7 @@ from sgvf_drake.lyapunov.band import (
     search_band,
 )
 from sgvf_drake.lyapunov.conditions import (
-    Assumptions,
     Bound,
-    Lemma,
     check_assumptions,
     check_lemma,
     robustness_bounds,
@@ -46,11 +44,9 @@ __all__ = [
     "NEAR_PATH",
     "PARTS",
     "SIGMA_RATIOS",
-    "Assumptions",
     "Band",
     "Bound",
     "FieldZeros",
-    "Lemma",
     "LyapunovFunction",
     "Margins",
     "PartName",

@@ -162,13 +162,8 @@ def critical_levels(
 ) -> FloatArray:
     """Returns the levels of the critical points of V in the box, at which V_dot is zero.
 
-    They are found from the local minima of |grad V| on the grid by Newton's method; V falls
-    fast so near to them that samples miss them.
-
-    Args:
-        function: V.
-        samples: Whose grid is searched.
-        slope: |grad V| on that grid, (ky, kx).
+    They are found by Newton's method from the local minima of the `slope` |grad V| (ky, kx) on
+    the grid of the samples; V falls fast so near to them that samples miss them.
     """
     lowest = slope == ndimage.minimum_filter(slope, size=3)
     x = samples.x[samples.on_grid][lowest.ravel()]
@@ -211,14 +206,8 @@ def _climb(
     """Returns V and V_dot at points of a band where m flows in least, (k,) each.
 
     Points are pushed to where the inward normal speed is smaller still, by trial: what lies
-    between the samples is to be found.
-
-    Args:
-        field: The field m.
-        function: V.
-        climbers: Points (k, 2), and there V, V_dot and the outward normal speed of m.
-        gap: The lowest and the highest level of the band.
-        rng: Draws the steps.
+    between the samples is to be found.  `climbers` are points (k, 2), and there V, V_dot and
+    the outward normal speed of m; `gap` the lowest and the highest level of the band.
     """
     x, V, V_dot, outward = climbers
     step = 0.5 * function.sigma

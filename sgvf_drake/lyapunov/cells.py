@@ -137,11 +137,7 @@ class PlanarMap(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class InChunks:
-    """A field that is evaluated at `CHUNK` points at a time.
-
-    Attributes:
-        field: The field.
-    """
+    """A field that is evaluated at `CHUNK` points at a time."""
 
     field: PlanarMap
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.spatial.distance import pdist
@@ -19,160 +20,97 @@ PAIR_LEVELS = 40
 PAIR_NEIGHBOURS = 400
 
 
-@dataclass(frozen=True, eq=False)
-class Spread:
-    """How a quantity that should be small spreads over the samples.
+def spread(values: FloatArray, x: FloatArray) -> dict[str, Any]:
+    """Returns how a quantity that should be small, (n,) at points (n, d), spreads over them.
 
-    Attributes:
-        mean: Its mean.
-        quantiles: Its quantiles `QUANTILES`.
-        largest: Its largest value.
-        where: The point at which it is largest, (d,).
+    Returns:
+        Its `mean`; its quantiles `QUANTILES` as `q50` to `q99`; its largest value `max`, and
+        the point `where` it is largest, (d,).
     """
-
-    mean: float
-    quantiles: FloatArray
-    largest: float
-    where: FloatArray
-
-    @classmethod
-    def of(cls, values: FloatArray, x: FloatArray) -> "Spread":
-        """Returns the spread of values (n,) at points (n, d)."""
-        worst = int(np.argmax(values))
-        quantiles = np.quantile(values, QUANTILES)
-        return cls(float(values.mean()), quantiles, float(values[worst]), x[worst])
-
-    def summary(self) -> dict[str, object]:
-        """Returns it by the names of `summary.json`."""
-        named = {
-            f"q{100 * q:.0f}": float(v) for q, v in zip(QUANTILES, self.quantiles, strict=True)
-        }
-        return {"mean": self.mean, **named, "max": self.largest, "where": self.where}
-
-
-@dataclass(frozen=True)
-class Assumptions:
-    """What the samples say of A1 and A2 (A3 is a matter of sublevel sets and trajectories).
-
-    Attributes:
-        score_lipschitz: (A1) Largest |J_S| of the learned score, per unit of length squared.
-        exact_lipschitz: The same of the exact score, which is grad log P of a density.
-        score_curl: Median of |curl S| / |J_S|: zero for a gradient.
-        cosine: (A2 i) |cos(s, v)| of the parts of m = s + v.
-        network_cosine: |cos(S, v)| of the raw score and the tangent, before they are put
-            together.
-        gradient_cosine: |cos(grad V, v)|, which is what the decrease of V rests on.
-        length: (A2 ii) | |m| - 1 |.
-        along_level_sets: (A2 iii) Largest |J_v tau| with tau along the level set, per unit of
-            length: the local Lipschitz constant L.
-        between_points: The largest |v(x) - v(y)| / |x - y| over pairs of points of the grid
-            whose V is nearly the same, also across from each other and between strands.
-    """
-
-    score_lipschitz: float
-    exact_lipschitz: float
-    score_curl: float
-    cosine: Spread
-    network_cosine: Spread
-    gradient_cosine: Spread
-    length: Spread
-    along_level_sets: Spread
-    between_points: float
-
-    def summary(self) -> dict[str, object]:
-        """Returns them by the names of `summary.json`."""
-        return {
-            "a1_score_lipschitz": self.score_lipschitz,
-            "a1_exact_lipschitz": self.exact_lipschitz,
-            "a1_score_curl": self.score_curl,
-            "a2_cosine": self.cosine.summary(),
-            "a2_cosine_networks": self.network_cosine.summary(),
-            "a2_cosine_gradient": self.gradient_cosine.summary(),
-            "a2_length_error": self.length.summary(),
-            "a2_lipschitz_along_level_sets": self.along_level_sets.summary(),
-            "a2_lipschitz_between_points": self.between_points,
-        }
-
-
-@dataclass(frozen=True)
-class Lemma:
-    """Lemma 1 as it stands and as it should: V_dot along the learned m, over the box.
-
-    Attributes:
-        paper_error: | -s . m + |s|^2 | = |s . v|, by which the paper's V_dot = -s . m misses
-            -|s|^2.
-        paper_share: Part of the box with -s . m < 0, where the paper's V_dot is negative.
-        true_share: Part of the box with grad V . m < 0, where V decreases.
-        sign_agreement: Part of the box where the two have the same sign.
-        rise: V_dot where it is largest: mean over the box, quantiles, largest, where.
-    """
-
-    paper_error: Spread
-    paper_share: float
-    true_share: float
-    sign_agreement: float
-    rise: Spread
-
-    def summary(self) -> dict[str, object]:
-        """Returns it by the names of `summary.json`."""
-        return {
-            "paper_error": self.paper_error.summary(),
-            "paper_falling_fraction": self.paper_share,
-            "falling_fraction": self.true_share,
-            "sign_agreement": self.sign_agreement,
-            "v_dot": self.rise.summary(),
-        }
+    quantiles = zip(QUANTILES, np.quantile(values, QUANTILES), strict=True)
+    return {
+        "mean": float(values.mean()),
+        **{f"q{100 * q:.0f}": float(value) for q, value in quantiles},
+        "max": float(values.max()),
+        "where": x[np.argmax(values)],
+    }
 
 
 def check_assumptions(
     field: GuidingField, function: LyapunovFunction, samples: Samples, seed: int = 0
-) -> Assumptions:
-    """Measures A1 and A2 over the box (paper, Section IV).
+) -> dict[str, Any]:
+    """Measures A1 and A2 over the box (paper, Section IV); A3 is a matter of trajectories.
 
     Args:
         field: The field.
         function: V, whose gradient and level sets are meant.
         samples: The field at the points of a grid; only these count, since they are even.
         seed: Of the points at which Jacobians are taken.
+
+    Returns:
+        By the names of `summary.json`; of what should be small the `spread`.
+
+        - a1_score_lipschitz: the largest |J_S| of the learned score, per unit of length
+          squared; a1_exact_lipschitz: the same of the exact score, which is grad log P of a
+          density; a1_score_curl: the median of |curl S| / |J_S|, zero for a gradient.
+        - a2_cosine (A2 i): |cos(s, v)| of the parts of m = s + v; a2_cosine_networks:
+          |cos(S, v)| of the raw score and the tangent, before they are put together;
+          a2_cosine_gradient: |cos(grad V, v)|, which is what the decrease of V rests on.
+        - a2_length_error (A2 ii): | |m| - 1 |.
+        - a2_lipschitz_along_level_sets (A2 iii): |J_v tau| with tau along the level set, per
+          unit of length, whose largest is the local Lipschitz constant L;
+          a2_lipschitz_between_points: the largest |v(x) - v(y)| / |x - y| over pairs of points
+          of the grid whose V is nearly the same, also across from each other and between
+          strands.
     """
     x, s, v = (values[samples.on_grid] for values in (samples.x, samples.s, samples.v))
     rng = np.random.default_rng(seed)
     at = rng.choice(len(x), min(JACOBIAN_SAMPLES, len(x)), replace=False)
     J_S = ScoreField(field).value_and_jacobian(x[at])[1]
     gradient, hessian = function.gradient_and_hessian(x[at])
-    return Assumptions(
-        score_lipschitz=float(np.linalg.norm(J_S, ord=2, axis=(1, 2)).max()),
-        exact_lipschitz=float(np.linalg.norm(hessian, ord=2, axis=(1, 2)).max()),
-        score_curl=float(np.median(curl_share(J_S))),
-        cosine=Spread.of(np.abs(cosine(s, v)), x),
-        network_cosine=Spread.of(np.abs(cosine(field.score(x), field.tangent(x))), x),
-        gradient_cosine=Spread.of(np.abs(cosine(function.gradient(x), v)), x),
-        length=Spread.of(np.abs(np.linalg.norm(s + v, axis=1) - 1), x),
-        along_level_sets=_along_level_sets(field, x[at], gradient),
-        between_points=_between_points(field, function, x),
-    )
+    return {
+        "a1_score_lipschitz": float(np.linalg.norm(J_S, ord=2, axis=(1, 2)).max()),
+        "a1_exact_lipschitz": float(np.linalg.norm(hessian, ord=2, axis=(1, 2)).max()),
+        "a1_score_curl": float(np.median(curl_share(J_S))),
+        "a2_cosine": spread(np.abs(cosine(s, v)), x),
+        "a2_cosine_networks": spread(np.abs(cosine(field.score(x), field.tangent(x))), x),
+        "a2_cosine_gradient": spread(np.abs(cosine(function.gradient(x), v)), x),
+        "a2_length_error": spread(np.abs(np.linalg.norm(s + v, axis=1) - 1), x),
+        "a2_lipschitz_along_level_sets": _along_level_sets(field, x[at], gradient),
+        "a2_lipschitz_between_points": _between_points(field, function, x),
+    }
 
 
-def check_lemma(function: LyapunovFunction, samples: Samples) -> Lemma:
-    """Measures Lemma 1 on the grid, with the paper's V_dot and with the true one."""
+def check_lemma(function: LyapunovFunction, samples: Samples) -> dict[str, Any]:
+    """Measures Lemma 1 on the grid as it stands and as it should: V_dot along the learned m.
+
+    Returns:
+        By the names of `summary.json`, paper_error: the `spread` of | -s . m + |s|^2 | =
+        |s . v|, by which the paper's V_dot = -s . m misses -|s|^2; paper_falling_fraction: the
+        part of the box where that is negative; falling_fraction: the part with grad V . m < 0,
+        where V decreases; sign_agreement: the part where the two have the same sign; v_dot:
+        the `spread` of the true V_dot.
+    """
     x, s, v = (values[samples.on_grid] for values in (samples.x, samples.s, samples.v))
     paper = -(s * (s + v)).sum(axis=1)
     V_dot = function.derivative(x, s + v)
-    return Lemma(
-        paper_error=Spread.of(np.abs((s * v).sum(axis=1)), x),
-        paper_share=float((paper < 0).mean()),
-        true_share=float((V_dot < 0).mean()),
-        sign_agreement=float(((paper < 0) == (V_dot < 0)).mean()),
-        rise=Spread.of(V_dot, x),
-    )
+    return {
+        "paper_error": spread(np.abs((s * v).sum(axis=1)), x),
+        "paper_falling_fraction": float((paper < 0).mean()),
+        "falling_fraction": float((V_dot < 0).mean()),
+        "sign_agreement": float(((paper < 0) == (V_dot < 0)).mean()),
+        "v_dot": spread(V_dot, x),
+    }
 
 
-def _along_level_sets(field: GuidingField, x: FloatArray, gradient: FloatArray) -> Spread:
+def _along_level_sets(
+    field: GuidingField, x: FloatArray, gradient: FloatArray
+) -> dict[str, Any]:
     J_v = TangentField(field).value_and_jacobian(x)[1]
     tau = gradient[:, ::-1] * [-1.0, 1.0]
     length = np.maximum(np.linalg.norm(tau, axis=1, keepdims=True), np.finfo(np.float64).tiny)
     change = np.einsum("nij,nj->ni", J_v, tau / length)
-    return Spread.of(np.linalg.norm(change, axis=1), x)
+    return spread(np.linalg.norm(change, axis=1), x)
 
 
 def _between_points(field: GuidingField, function: LyapunovFunction, x: FloatArray) -> float:

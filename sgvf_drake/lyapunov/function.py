@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from sgvf_drake.arrays import FloatArray
 from sgvf_drake.fields import Field, GaussianMixture, GuidingField
@@ -116,7 +117,7 @@ def find_modes(mixture: GaussianMixture, num_starts: int | None = None) -> Float
     is_mode = np.linalg.norm(score, axis=1) * mixture.sigma <= STATIONARY
     is_mode &= np.linalg.eigvalsh(jacobian).max(axis=1) * mixture.sigma**2 < 0
     highest = x[[np.argmax(mixture.log_density(x))]]
-    return _distinct(x[is_mode], 1e-3 * mixture.sigma) if is_mode.any() else highest
+    return distinct(x[is_mode], 1e-3 * mixture.sigma) if is_mode.any() else highest
 
 
 def _newton(mixture: GaussianMixture, x: FloatArray) -> FloatArray:
@@ -144,10 +145,8 @@ def _mean_shift(mixture: GaussianMixture, x: FloatArray, iterations: int) -> Flo
     return x
 
 
-def _distinct(points: FloatArray, distance: float) -> FloatArray:
-    """Returns points of which no two are nearer than a distance."""
-    kept: list[FloatArray] = []
-    for point in points:
-        if all(np.linalg.norm(point - other) > distance for other in kept):
-            kept.append(point)
-    return np.array(kept)
+def distinct(points: FloatArray, distance: float) -> FloatArray:
+    """Returns one of points (n, d) that are nearer to each other than a distance, the first."""
+    kept = np.ones(len(points), bool)
+    kept[cKDTree(points).query_pairs(distance, output_type="ndarray")[:, 1]] = False
+    return points[kept]

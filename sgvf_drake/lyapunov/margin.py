@@ -65,7 +65,6 @@ def inward_margins(
     c_in: float,
     c_out: float,
     num_levels: int = NUM_LEVELS,
-    seed: int = 0,
 ) -> Margins:
     """Returns e*(c) on levels from c_in to c_out, sampled.
 
@@ -76,9 +75,8 @@ def inward_margins(
         c_in: The lowest level; above zero.
         c_out: The highest.
         num_levels: Number of levels.
-        seed: Of the search for weaker places.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     levels = np.geomspace(c_in, c_out, num_levels)
     V, gradient = function.value_and_gradient(samples.x)
     inward = -component_along(gradient, samples.m)

@@ -6,7 +6,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sgvf_drake.arrays import FloatArray
+from sgvf_drake.arrays import FloatArray, plane_grid
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import GuidingField
 
@@ -76,8 +76,7 @@ def take_samples(field: GuidingField, seed: int = 0, grid_size: int = GRID_SIZE)
     if grid_size < 3:
         raise ConfigurationError(f"the grid must have at least 3 points, not {grid_size}")
     lower, upper = field.cloud.box
-    axes = tuple(np.linspace(lower[k], upper[k], grid_size) for k in range(2))
-    grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+    x_axis, y_axis, grid = plane_grid(field.cloud.box, grid_size)
     rng = np.random.default_rng(seed)
     in_box = rng.uniform(lower, upper, (BOX_SAMPLES, 2))
     mixture = field.mixture
@@ -86,4 +85,4 @@ def take_samples(field: GuidingField, seed: int = 0, grid_size: int = GRID_SIZE)
     near = near[((lower <= near) & (near <= upper)).all(axis=1)]
     x = np.concatenate([grid, in_box, near])
     s, v = field.components(x)
-    return Samples((axes[0], axes[1]), x, s, v)
+    return Samples((x_axis, y_axis), x, s, v)

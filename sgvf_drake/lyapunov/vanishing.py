@@ -7,10 +7,12 @@ path is measured as the score sees it, after a blur.
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
+import pandas as pd
 from scipy.ndimage import gaussian_filter1d
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
@@ -68,130 +70,31 @@ class PathShape:
     branches: FloatArray
 
 
-@dataclass(frozen=True)
-class Concentration:
-    """Whether zeros keep to some kind of place, more than places drawn evenly do.
-
-    Attributes:
-        probability: That a zero has more of what is claimed than an even place has: 0.5
-            where zeros do not care, 1 where every zero has the most.
-        p_value: The chance of at least this probability where they do not care (one-sided
-            Mann-Whitney test).
-    """
-
-    probability: float
-    p_value: float
-
-    @classmethod
-    def of(cls, zeros: FloatArray, even: FloatArray) -> "Concentration | None":
-        """Compares values at zeros (k,) with those at even places (n,); None: no values."""
-        if not (len(zeros) and len(even)):
-            return None
-        test = mannwhitneyu(zeros, even, alternative="greater", method="asymptotic")
-        return cls(float(test.statistic / (len(zeros) * len(even))), float(test.pvalue))
-
-    @property
-    def holds(self) -> bool:
-        """Whether zeros concentrate there, and not by accident."""
-        return self.probability > 0.5 and self.p_value < SIGNIFICANCE
-
-
-@dataclass(frozen=True, eq=False)
-class Surroundings:
-    """What is at each of k zeros.
-
-    Attributes:
-        indices: (k,) their Poincare indices.
-        isolated: (k,) whether it is one place, and does not stand for a line of zeros.
-        log_density: (k,) log p of the mixture.
-        density_percentile: (k,) part of the box in which the density is lower, 0 to 1.
-        path_distance: (k,) to the path.
-        on_path: (k,) whether that is at most `NEAR_PATH` noise levels.
-        curvature: (k,) of the path nearby, per unit of length; NaN off the path, and on a side
-            branch, whose curvature is not known.
-        guiding_norm: (k,) |m|.
-        score_norm: (k,) |S| sigma.
-        other_distance: (k,) to the nearest zero of another field; infinite where it has none.
-    """
-
-    indices: IntArray
-    isolated: BoolArray
-    log_density: FloatArray
-    density_percentile: FloatArray
-    path_distance: FloatArray
-    on_path: BoolArray
-    curvature: FloatArray
-    guiding_norm: FloatArray
-    score_norm: FloatArray
-    other_distance: FloatArray
-
-    def at(self, number: int) -> dict[str, Any]:
-        """Returns what is around one of the zeros, by name."""
-        of_zero = ("indices", "isolated")
-        names = (column.name for column in fields(self) if column.name not in of_zero)
-        return {name: getattr(self, name)[number] for name in names}
-
-
 @dataclass(frozen=True, eq=False)
 class Vanishing:
     """Where the score of a field vanishes.
 
-    Lines of zeros, which have no place, do not count in the comparisons.
-
     Attributes:
-        score: What is at the zeros of the score.
-        guiding: What is at the zeros of m.
-        low_density: Whether the zeros of the score keep to low density, against the box.
-        low_density_off_path: The same of those off the path, against the box off the path.
-        high_curvature: Whether those on the path keep to high curvature, against the path;
-            None: the path has one curvature, or there are none.
-        branches: Whether those on the path keep near its branches, against the path; None:
-            it has no branch, or there are none.
-        zeros_on_path: Number of the zeros of the score on the path.
-        zeros_off_path: Number of the others.
-        index_sum_on_path: Sum of the indices of those on the path.
-        index_sum_off_path: Sum of the indices of the others.
-        density_correlation: Of |S| with log p over the box off the path (Spearman's); it is
-            positive where the score is small at low density.
-        median_curvature: Of the path, per unit of length.
-        curvature_correlation: Of |S . T| with the curvature, along the path with its tangent
-            T (Spearman's); negative where the score is small at high curvature.  None: the
-            path has one curvature.
-        small_score: Of the places where |S| sigma is `below` some value: the `fraction` of
-            the box that they are, and the parts of them `near_path` (NaN where there are
-            none) and of `low_density`, in the half of the box that has the lower density.
-        score_zeros_at_guiding_zeros: Number of the zeros of the score that meet one of m.
-        guiding_zeros_at_score_zeros: Number of the zeros of m that meet one of the score.
-        guiding_min_at_score_zeros_on_path: The smallest |m| at a zero of the score on the
-            path; infinite where there is none.
+        score: What is at each zero of the score, one row a zero, with the columns
+            indices: their Poincare indices;
+            isolated: whether it is one place, and does not stand for a line of zeros;
+            log_density: log p of the mixture;
+            density_percentile: part of the box in which the density is lower, 0 to 1;
+            path_distance: to the path;
+            on_path: whether that is at most `NEAR_PATH` noise levels;
+            curvature: of the path nearby, per unit of length; NaN off the path, and on a side
+            branch, whose curvature is not known;
+            guiding_norm: |m|;
+            score_norm: |S| sigma;
+            other_distance: to the nearest zero of m; infinite where it has none.
+        guiding: The same of the zeros of m; their other_distance is that to the zeros of the
+            score.
+        summary: The verdicts and the numbers behind them; see `measure_vanishing`.
     """
 
-    score: Surroundings
-    guiding: Surroundings
-    low_density: Concentration | None
-    low_density_off_path: Concentration | None
-    high_curvature: Concentration | None
-    branches: Concentration | None
-    zeros_on_path: int
-    zeros_off_path: int
-    index_sum_on_path: int
-    index_sum_off_path: int
-    density_correlation: float
-    median_curvature: float
-    curvature_correlation: float | None
-    small_score: dict[str, float]
-    score_zeros_at_guiding_zeros: int
-    guiding_zeros_at_score_zeros: int
-    guiding_min_at_score_zeros_on_path: float
-
-    def summary(self) -> dict[str, Any]:
-        """Returns the verdicts and the numbers behind them, by the names of `summary.json`."""
-        found = {}
-        for column in fields(self)[2:]:
-            value = getattr(self, column.name)
-            is_claim = isinstance(value, Concentration)
-            found[column.name] = {"holds": value.holds, **asdict(value)} if is_claim else value
-        return found
+    score: pd.DataFrame
+    guiding: pd.DataFrame
+    summary: dict[str, Any]
 
 
 def measure_vanishing(
@@ -203,6 +106,28 @@ def measure_vanishing(
         field: The field.
         found: Its singularities.
         reference: The path, in the field's unit.
+
+    Returns:
+        What is at the zeros, and a summary by the names of `summary.json`.  Its comparisons
+        are those of `concentration`; lines of zeros, which have no place, do not count in them.
+
+        - low_density: whether the zeros of the score keep to low density, against the box;
+          low_density_off_path: the same of those off the path, against the box off the path;
+          high_curvature: whether those on the path keep to high curvature, against the path,
+          None where the path has one curvature; branches: whether those on the path keep near
+          its branches, against the path, None where it has none.
+        - zeros_on_path, zeros_off_path, index_sum_on_path, index_sum_off_path: of the score.
+        - density_correlation: of |S| with log p over the box off the path (Spearman's); it is
+          positive where the score is small at low density.
+        - median_curvature: of the path, per unit of length; curvature_correlation: of |S . T|
+          with the curvature, along the path with its tangent T (Spearman's), negative where
+          the score is small at high curvature, None where the path has one curvature.
+        - small_score: of the places where |S| sigma is `below` some value, the `fraction` of
+          the box that they are, and the parts of them `near_path` (NaN where there are none)
+          and of `low_density`, in the half of the box that has the lower density.
+        - score_zeros_at_guiding_zeros, guiding_zeros_at_score_zeros: how many zeros of the one
+          meet one of the other; guiding_min_at_score_zeros_on_path: the smallest |m| at a zero
+          of the score on the path, infinite where there is none.
     """
     sigma = field.mixture.sigma
     x = _middles(found.box)
@@ -214,39 +139,58 @@ def measure_vanishing(
         _surroundings(zeros, other, field, log_density, reference, shape)
         for zeros, other in ((found.score, found.guiding), (found.guiding, found.score))
     )
-    isolated, on_path, small = score.isolated, score.on_path, S < SMALL_SCORE
+    isolated, on_path, small = score["isolated"], score["on_path"], S < SMALL_SCORE
     varies = bool(shape.curvature.max() > (1 + ALIKE) * np.median(shape.curvature))
-    curvature = score.curvature[isolated & np.isfinite(score.curvature)]
+    curvature = score.loc[isolated, "curvature"].dropna()
     along = np.abs((field.score(shape.points) * shape.tangents).sum(axis=1))
-    return Vanishing(
-        score=score,
-        guiding=guiding,
-        low_density=Concentration.of(-score.log_density[isolated], -log_density),
-        low_density_off_path=Concentration.of(
-            -score.log_density[isolated & ~on_path], -log_density[~near]
+    off_path = score.loc[isolated & ~on_path, "log_density"]
+    met = [int((own["other_distance"] <= MEETING * sigma).sum()) for own in (score, guiding)]
+    summary = {
+        "low_density": concentration(-score.loc[isolated, "log_density"], -log_density),
+        "low_density_off_path": concentration(-off_path, -log_density[~near]),
+        "high_curvature": concentration(curvature, shape.curvature) if varies else None,
+        "branches": _near_branches(found.score.points[isolated & on_path], shape),
+        "zeros_on_path": int(on_path.sum()),
+        "zeros_off_path": int((~on_path).sum()),
+        "index_sum_on_path": int(score.loc[on_path, "indices"].sum()),
+        "index_sum_off_path": int(score.loc[~on_path, "indices"].sum()),
+        "density_correlation": float(spearmanr(S[~near], log_density[~near])[0]),
+        "median_curvature": float(np.median(shape.curvature)),
+        "curvature_correlation": (
+            float(spearmanr(along, shape.curvature)[0]) if varies else None
         ),
-        high_curvature=Concentration.of(curvature, shape.curvature) if varies else None,
-        branches=_near_branches(found.score.points[isolated & on_path], shape),
-        zeros_on_path=int(on_path.sum()),
-        zeros_off_path=int((~on_path).sum()),
-        index_sum_on_path=int(score.indices[on_path].sum()),
-        index_sum_off_path=int(score.indices[~on_path].sum()),
-        density_correlation=float(spearmanr(S[~near], log_density[~near])[0]),
-        median_curvature=float(np.median(shape.curvature)),
-        curvature_correlation=float(spearmanr(along, shape.curvature)[0]) if varies else None,
-        small_score={
+        "small_score": {
             "below": SMALL_SCORE,
             "fraction": float(small.mean()),
             "near_path": _share(near[small]),
             "low_density": _share(log_density[small] < np.median(log_density)),
         },
         # Where score vanishing meets a zero of m, and where not.
-        score_zeros_at_guiding_zeros=int((score.other_distance <= MEETING * sigma).sum()),
-        guiding_zeros_at_score_zeros=int((guiding.other_distance <= MEETING * sigma).sum()),
-        guiding_min_at_score_zeros_on_path=float(
-            score.guiding_norm[on_path].min(initial=np.inf)
+        "score_zeros_at_guiding_zeros": met[0],
+        "guiding_zeros_at_score_zeros": met[1],
+        "guiding_min_at_score_zeros_on_path": float(
+            score.loc[on_path, "guiding_norm"].to_numpy().min(initial=np.inf)
         ),
-    )
+    }
+    return Vanishing(score, guiding, summary)
+
+
+def concentration(zeros: ArrayLike, even: ArrayLike) -> dict[str, Any] | None:
+    """Compares values at zeros (k,) with those at even places (n,), of what is claimed.
+
+    Returns:
+        None without any values; else probability: that a zero has more of it than an even
+        place has, 0.5 where zeros do not care, 1 where every zero has the most; p_value: the
+        chance of at least this probability where they do not care (one-sided Mann-Whitney
+        test); holds: whether zeros concentrate there, and not by accident.
+    """
+    count = np.size(zeros) * np.size(even)
+    if count == 0:
+        return None
+    test = mannwhitneyu(zeros, even, alternative="greater", method="asymptotic")
+    probability, p_value = float(test.statistic / count), float(test.pvalue)
+    holds = probability > 0.5 and p_value < SIGNIFICANCE
+    return {"holds": holds, "probability": probability, "p_value": p_value}
 
 
 def _middles(box: tuple[FloatArray, FloatArray]) -> FloatArray:
@@ -263,41 +207,34 @@ def _surroundings(
     log_density: FloatArray,
     reference: Reference,
     shape: PathShape,
-) -> Surroundings:
-    """Looks around the zeros of m or of the score of a field.
-
-    Args:
-        zeros: The zeros.
-        other: Those of another field, the nearest of which are wanted.
-        field: The guiding field.
-        log_density: (n,) log p at places drawn evenly from the box.
-        reference: The path.
-        shape: The shape of the path.
-    """
+) -> pd.DataFrame:
+    """Looks around zeros; `log_density` is that at places drawn evenly from the box."""
     x, mixture = zeros.points, field.mixture
     here, near = mixture.log_density(x), NEAR_PATH * mixture.sigma
     lower = np.searchsorted(np.sort(log_density), here)
     distance = reference.project(x).distance
     to_sample, sample = _nearest(shape.points, x)
-    return Surroundings(
-        indices=np.array([zero.index for zero in zeros.zeros], np.intp),
-        isolated=np.array([zero.kind != "degenerate" for zero in zeros.zeros], bool),
-        log_density=here,
-        density_percentile=lower / len(log_density),
-        path_distance=distance,
-        on_path=distance <= near,
-        curvature=np.where(to_sample <= near, shape.curvature[sample], np.nan),
-        guiding_norm=np.linalg.norm(field(x), axis=1),
-        score_norm=np.linalg.norm(field.score(x), axis=1) * mixture.sigma,
-        other_distance=_nearest(other.points, x)[0],
+    return pd.DataFrame(
+        {
+            "indices": np.array([zero.index for zero in zeros.zeros], np.intp),
+            "isolated": np.array([zero.kind != "degenerate" for zero in zeros.zeros], bool),
+            "log_density": here,
+            "density_percentile": lower / len(log_density),
+            "path_distance": distance,
+            "on_path": distance <= near,
+            "curvature": np.where(to_sample <= near, shape.curvature[sample], np.nan),
+            "guiding_norm": np.linalg.norm(field(x), axis=1),
+            "score_norm": np.linalg.norm(field.score(x), axis=1) * mixture.sigma,
+            "other_distance": _nearest(other.points, x)[0],
+        }
     )
 
 
-def _near_branches(zeros: FloatArray, shape: PathShape) -> Concentration | None:
+def _near_branches(zeros: FloatArray, shape: PathShape) -> dict[str, Any] | None:
     if not len(shape.branches):
         return None
     away, even = (_nearest(shape.branches, x)[0] for x in (zeros, shape.points))
-    return Concentration.of(-away, -even)
+    return concentration(-away, -even)
 
 
 def _nearest(points: FloatArray, x: FloatArray) -> tuple[FloatArray, IntArray]:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
@@ -11,9 +12,7 @@ from sgvf_drake.arrays import BoolArray, FloatArray
 from sgvf_drake.fields import GuidingField
 from sgvf_drake.lyapunov.band import MIN_DECREASE, SIGMA_RATIOS, Band, search_band
 from sgvf_drake.lyapunov.conditions import (
-    Assumptions,
     Bound,
-    Lemma,
     check_assumptions,
     check_lemma,
     robustness_bounds,
@@ -82,8 +81,8 @@ class Verification:
         samples: The field where it was looked at.
         band: The band on which V decreases; None: there is none with a tube about each piece.
         margins: The inward flow on its levels.
-        assumptions: A1 and A2 of the paper, measured.
-        lemma: Lemma 1, in the paper's form and with the true gradient.
+        assumptions: A1 and A2 of the paper, measured; see `check_assumptions`.
+        lemma: Lemma 1, in the paper's form and with the true gradient; see `check_lemma`.
         bounds: The three robustness bounds.
         zeros: The zeros of m in the box, with what the search could not decide.
         slowest: The smallest |m| in the tube (near the path without a band), away from ends.
@@ -95,8 +94,8 @@ class Verification:
     samples: Samples
     band: Band | None
     margins: Margins | None
-    assumptions: Assumptions
-    lemma: Lemma
+    assumptions: dict[str, Any]
+    lemma: dict[str, Any]
     bounds: Sequence[Bound]
     zeros: FieldZeros
     slowest: float
@@ -216,15 +215,7 @@ def _outward(margins: Margins) -> list[Violation]:
 
 @dataclass(frozen=True, eq=False)
 class _Places:
-    """The samples at which something speaks against a field.
-
-    Attributes:
-        field: The field.
-        function: V.
-        samples: The field where it was looked at.
-        band: The band on which V decreases; None: there is none.
-        reference: The path.
-    """
+    """The samples at which something speaks against a field; see `Verification`."""
 
     field: GuidingField
     function: LyapunovFunction

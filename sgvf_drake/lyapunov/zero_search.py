@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.spatial import cKDTree
 
 from sgvf_drake.arrays import BoolArray, FloatArray, IntArray
 from sgvf_drake.exceptions import ConfigurationError
@@ -23,6 +22,7 @@ from sgvf_drake.lyapunov.cells import (
     adjugate,
     is_one_to_one,
 )
+from sgvf_drake.lyapunov.function import distinct
 from sgvf_drake.lyapunov.winding import cut, turning
 
 # Side of the first cells, in scales of the field.
@@ -135,7 +135,7 @@ def _search(
         cells = cells.quartered()
         count += len(cells)
         cells, smooth = _left_over(field, cells)
-    points = _distinct(np.concatenate(found), smallest)
+    points = distinct(np.concatenate(found), smallest)
     return points, [*lines.clusters(), *cells.clusters()], count
 
 
@@ -149,13 +149,7 @@ def _left_over(field: PlanarMap, cells: Cells) -> tuple[Cells, BoolArray]:
 def _single_zeros(
     field: PlanarMap, cells: Cells, smooth: BoolArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Returns zeros (k, 2), and whether each cell has one and no other, (n,).
-
-    Args:
-        field: The field.
-        cells: The cells, n of them.
-        smooth: (n,) in which of them to look.
-    """
+    """Returns zeros (k, 2) of the smooth cells, and which cells have one and no other, (n,)."""
     half = ENLARGED * cells.half
     decided = np.zeros(len(cells), bool)
     candidates = np.flatnonzero(smooth)
@@ -182,26 +176,14 @@ def _newton(field: PlanarMap, centers: FloatArray, half: float) -> tuple[FloatAr
     return x, inside & (last <= NEWTON_TOLERANCE * half)
 
 
-def _distinct(points: FloatArray, distance: float) -> FloatArray:
-    """Returns one of points that are nearer to each other than a distance."""
-    kept = np.ones(len(points), bool)
-    kept[cKDTree(points).query_pairs(distance, output_type="ndarray")[:, 1]] = False
-    return points[kept]
-
-
 def _zero_of_cluster(
     field: PlanarMap, cells: Cells, points: FloatArray, indices: IntArray
 ) -> tuple[FloatArray, int] | None:
     """Returns where |m| is smallest in a cluster of undecided cells, and the index of it all.
 
     None where nothing tells of a zero beside those that were told apart: the index is zero,
-    and |m| cannot be made zero to rounding, or one of those is there.
-
-    Args:
-        field: The field.
-        cells: The cells.
-        points: (k, 2) the zeros that were told apart,
-        indices: (k,) and their indices; those of zeros beside the cells are subtracted.
+    and |m| cannot be made zero to rounding, or one of those is there.  They are `points` (k, 2)
+    with `indices` (k,), which are subtracted where they are beside the cells.
 
     Raises:
         ConfigurationError: The field vanishes on the border around the cells.

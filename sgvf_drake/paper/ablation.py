@@ -34,9 +34,10 @@ from sgvf_drake.paper.along_path import (
     lengths_row,
     sample_path,
 )
-from sgvf_drake.paper.claims import Rows
+from sgvf_drake.paper.claims import Count, Rows
 from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
-from sgvf_drake.paper.intervals import POSITIVE, SHARE, interval, interval_columns
+from sgvf_drake.paper.intervals import POSITIVE, SHARE, interval, interval_columns, over_seeds
+from sgvf_drake.paper.training import trained
 from sgvf_drake.paths import ReferencePath, make_shape
 
 COMPLETE = "complete"
@@ -81,19 +82,14 @@ FOLLOWED: Mapping[str, tuple[str, Range]] = {
 
 @dataclass(frozen=True)
 class AblationTrial:
-    """A recipe complete, and without each of some parts.
+    """A recipe complete, and without each of some parts; the rest is as in `Ablation`.
 
     Attributes:
         recipe: The recipe.
         shape: A named shape of closed pieces.
-        seed: Seed of the cloud and of the training.
         hidden: Hidden widths of the tangent network; None: those of the recipe.
         variants: The variants beside the complete recipe.
-        starts: Agents that follow each field.
-        patience: Their time to run, in the usual one for a field of unit length.
-        ratios: The noise levels of V that the sublevel checks try, in those of the field.
-        score_iterations: Optimisation steps of the score network.
-        tangent_iterations: Optimisation steps of the tangent network.
+        patience: The time of the agents, in the usual one for a field of unit length.
     """
 
     recipe: Literal["paper", "robust"]
@@ -120,24 +116,22 @@ def measure_ablation(trial: AblationTrial, folder: Path) -> Row:
         tangent, whole: see `direction_row`, of v and of m; passed: whether the self-check
         did; train_cpu_s, of the score only where it was learned.
     """
-    # Imported here: what was measured before is shown without torch.
-    from sgvf_drake.learning import TrainingConfig, train
-
     cloud, reference = make_shape(trial.shape, seed=trial.seed)
     unit, samples = cloud.unit_length, sample_path(reference, cloud.unit_length)
     rows: Row = {}
     shared: ScoreNetwork | None = None
     for name in (COMPLETE, *trial.variants):
-        config = TrainingConfig(
-            recipe=trial.recipe,
-            seed=trial.seed,
+        result = trained(
+            cloud,
+            trial.recipe,
+            trial.seed,
+            score=None if name in OF_THE_SCORE else shared,
             max_restarts=0,
             score_iterations=trial.score_iterations,
             tangent_hidden=trial.hidden,
             tangent_iterations=trial.tangent_iterations,
             **VARIANTS[name][1],
         )
-        result = train(cloud, config, score=None if name in OF_THE_SCORE else shared)
         field = result.field
         if name == COMPLETE:
             assert isinstance(field.score_model, ScoreNetwork)
@@ -162,14 +156,7 @@ def measure_ablation(trial: AblationTrial, folder: Path) -> Row:
 def followed_row(
     field: GuidingField, reference: ReferencePath, starts: int, patience: float, file: Path
 ) -> Row:
-    """Follows a field in one diagram; leaves where its agents ended.
-
-    Args:
-        field: The field.
-        reference: The true path, of closed pieces.
-        starts: Number of agents, on a grid over the box.
-        patience: The usual time to run is multiplied by this.
-        file: Where the last positions go, `.npz`.
+    """Follows a field in one diagram; leaves in a file where its agents ended.
 
     Returns:
         What `quality.measures.following` does; `settle`, the fraction of agents that stayed
@@ -191,11 +178,6 @@ def followed_row(
 def checked_row(field: GuidingField, reference: ReferencePath, ratios: Sequence[float]) -> Row:
     """Passes a field through the sublevel checks; see `lyapunov.verify`.
 
-    Args:
-        field: The field.
-        reference: The true path.
-        ratios: The noise levels of V to try, in those of the field.
-
     Returns:
         holds, reason; band: whether V falls on a band of levels about a tube along the path;
         zeros: number of zeros of m that count against it; slowest: the smallest |m| in the
@@ -211,8 +193,8 @@ def checked_row(field: GuidingField, reference: ReferencePath, ratios: Sequence[
         "zeros": sum(v.counts and v.kind == "zero" for v in found.violations),
         "slowest": found.slowest,
         "falls": found.decrease_fraction,
-        "cosine": found.assumptions.cosine.mean,
-        "length_error": found.assumptions.length.mean,
+        "cosine": found.assumptions["a2_cosine"]["mean"],
+        "length_error": found.assumptions["a2_length_error"]["mean"],
     }
 
 
@@ -339,17 +321,21 @@ class SeedsTable:
 
     def of(self, table: pd.DataFrame, group: str) -> Exhibit:
         """Returns the table of fields, from one row a field."""
-        rows = []
-        for (name, variant), fields in table.groupby([group, "variant"], sort=False):
-            row: dict[str, Any] = {group: name, "variant": VARIANTS[str(variant)][0]}
-            for header, measure in self.counts.items():
-                row[header] = f"{int(fields[measure].sum())} of {len(fields)}"
+
+        def columns(fields: pd.DataFrame) -> Row:
+            row: Row = {
+                header: str(Count.of(fields[measure]))
+                for header, measure in self.counts.items()
+            }
             for header, (measure, within) in self.means.items():
                 row.update(interval_columns(header, fields[measure].astype(float), within))
-            for header, measure in self.firsts.items():
-                row[header] = fields[measure].iloc[0]
-            rows.append(row)
-        return Exhibit(self.name, self.caption, pd.DataFrame(rows))
+            firsts = {header: fields[name].iloc[0] for header, name in self.firsts.items()}
+            return row | firsts
+
+        names = {variant: name for variant, (name, _) in VARIANTS.items()}
+        named = table.assign(variant=table["variant"].map(names))
+        rows = over_seeds(named, (group, "variant"), columns)
+        return Exhibit(self.name, self.caption, rows)
 
 
 @dataclass

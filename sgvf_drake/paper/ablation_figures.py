@@ -15,18 +15,17 @@ import numpy as np
 import pandas as pd
 
 from sgvf_drake import plotting
-from sgvf_drake.arrays import FloatArray
+from sgvf_drake.arrays import FloatArray, plane_grid
 from sgvf_drake.fields import Field, GuidingField, TangentField, load_field
-from sgvf_drake.paper.along_path import box_grid, directions, sample_path
+from sgvf_drake.paper.along_path import directions, sample_path
 from sgvf_drake.paper.experiment import FOLDER
 from sgvf_drake.paper.intervals import POSITIVE, interval
 from sgvf_drake.paths import ReferencePath, shape_path
 
 # In the file of a run: (n, 2) the last positions of its agents, (n,) whether each lapped.
 ENDS, LAPPED = "ends", "followed"
-# Arrows along each side of a field.
-ARROWS = 23
-UNIT = "unit of the waypoints"
+# Arrows along each side of a field, and measures in a row.
+ARROWS, COLUMNS = 23, 3
 SOURCE, SINK, STOPPED = "^", "v", "o"
 # How far apart groups and seeds are drawn beside a tick, in ticks.
 GROUP_OFFSET, SEED_OFFSET = 0.3, 0.07
@@ -66,11 +65,13 @@ def variants_figure(
         for trained, panel in zip(own.to_dict("records"), panels, strict=False):
             stem, reference = trained[FOLDER] / trained["variant"], shape_path(trained["shape"])
             arrows = _draw_field(panel, stem, reference, DRAWN[symbol], span)
-            plotting.plane_axes(panel, UNIT, names[trained["variant"]] if row == 0 else "")
+            plotting.plane_axes(
+                panel, plotting.UNIT, names[trained["variant"]] if row == 0 else ""
+            )
             panel.label_outer()
-        axes[row * columns].set_ylabel(f"{label}\ny [{UNIT}]")
+        axes[row * columns].set_ylabel(f"{label}\ny [{plotting.UNIT}]")
     figure.colorbar(arrows, ax=axes, label=f"$|{symbol}|$", extend="both", pad=0.01)
-    figure.legend(handles=_marks(symbol), loc="outside lower center", ncols=4, frameon=False)
+    plotting.legend_below(figure, _marks(symbol))
     return figure
 
 
@@ -88,7 +89,7 @@ def _draw_field(
     field = load_field(stem.with_suffix(".safetensors"))
     run = np.load(stem.with_suffix(".npz"))
     part, cloud = drawn(field), field.cloud
-    x = box_grid(cloud.box, ARROWS)
+    _, _, x = plane_grid(cloud.box, ARROWS)
     vectors = part(x)
     length = np.linalg.norm(vectors, axis=1)
     unit = vectors / np.maximum(length, np.finfo(np.float64).tiny)[:, None]
@@ -149,7 +150,6 @@ def measures_figure(
     panels: Sequence[MeasurePanel],
     group: str,
     names: Mapping[str, str],
-    columns: int = 3,
 ) -> Figure:
     """Returns measures over the variants: every seed, and means with 95 % intervals.
 
@@ -158,10 +158,9 @@ def measures_figure(
         panels: The measures.
         group: The column that tells the colours apart.
         names: What each variant is called, in the order of the axis.
-        columns: Panels in a row.
     """
-    rows = -(-len(panels) // columns)
-    figure, axes = plotting.new_figure(rows, columns, 3.8 * columns, 3.0 * rows + 0.6)
+    rows = -(-len(panels) // COLUMNS)
+    figure, axes = plotting.new_figure(rows, COLUMNS, 3.8 * COLUMNS, 3.0 * rows + 0.6)
     groups = list(table.groupby(group, sort=False))
     for panel, own in zip(panels, axes, strict=False):
         for number, (name, fields) in enumerate(groups):
@@ -175,8 +174,7 @@ def measures_figure(
         own.grid(axis="y", alpha=0.3)
     for spare in axes[len(panels) :]:
         spare.set_axis_off()
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(groups), frameon=False)
+    plotting.legend_below(figure, *axes[0].get_legend_handles_labels())
     return figure
 
 

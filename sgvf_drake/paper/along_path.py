@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sgvf_drake.arrays import BoolArray, FloatArray, IntArray
+from sgvf_drake.arrays import BoolArray, FloatArray, IntArray, plane_grid
 from sgvf_drake.experiments.simulation import simulate_agents
 from sgvf_drake.experiments.workbench import Row
 from sgvf_drake.fields import GuidingField, NormalisedComposition
@@ -112,14 +112,9 @@ def _tangents(piece: Piece, arc: FloatArray, step: float) -> FloatArray:
 def directions(
     samples: PathSamples, vectors: FloatArray, unit_length: float
 ) -> list[PieceDirection]:
-    """Returns which way a field runs along each piece.
+    """Returns which way a field, given at n samples as (n, d), runs along each piece.
 
     Stretches shorter than `SHORTEST` count as their surroundings.
-
-    Args:
-        samples: The path.
-        vectors: (n, d) the field at the samples.
-        unit_length: U.
     """
     along = (vectors * samples.tangents).sum(axis=1)
     found = []
@@ -184,12 +179,7 @@ def direction_row(pieces: Sequence[PieceDirection]) -> Row:
 
 
 def lengths_row(field: GuidingField, reference: ReferencePath, samples: PathSamples) -> Row:
-    """Measures how long v and m are, on the path and over the box.
-
-    Args:
-        field: The field, planar.
-        reference: The true path.
-        samples: Samples of the path.
+    """Measures how long v and m of a planar field are, on its true path and over the box.
 
     Returns:
         v_path, v_path_min, v_path_max, and the same of m: mean and extremes on the path;
@@ -198,7 +188,7 @@ def lengths_row(field: GuidingField, reference: ReferencePath, samples: PathSamp
         grid that are `NEAR` the path and `AWAY` from it; fading: the one over the other;
         leads_near, leads_away: the share of these points at which v is longer than s.
     """
-    x = box_grid(field.cloud.box, GRID_SIZE)
+    _, _, x = plane_grid(field.cloud.box, GRID_SIZE)
     s, v = field.components(x)
     length = np.linalg.norm(v, axis=1)
     leads = length > np.linalg.norm(s, axis=1)
@@ -220,12 +210,6 @@ def lengths_row(field: GuidingField, reference: ReferencePath, samples: PathSamp
     }
 
 
-def box_grid(box: tuple[FloatArray, FloatArray], size: int) -> FloatArray:
-    """Returns the points (size^2, 2) of a square grid over a planar box."""
-    axes = [np.linspace(box[0][k], box[1][k], size) for k in range(2)]
-    return np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
-
-
 def _extremes(name: str, values: FloatArray) -> Row:
     return {
         name: float(values.mean()),
@@ -235,7 +219,7 @@ def _extremes(name: str, values: FloatArray) -> Row:
 
 
 def drift_row(field: GuidingField, reference: ReferencePath, samples: PathSamples) -> Row:
-    """Measures whether v leads along the path or off it; arguments as of `lengths_row`.
+    """Measures whether v leads along the path or off it.
 
     Returns:
         beside_cosine: mean |cos(s, v)| at distances `BESIDE` from the path; outward: the

@@ -18,17 +18,17 @@ import numpy as np
 import pandas as pd
 
 from sgvf_drake import plotting
-from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.experiments.follow import PATIENCE, FollowResult, follow
+from sgvf_drake.experiments.follow import PATIENCE, FollowResult, PathField, follow
 from sgvf_drake.experiments.workbench import Row, Workbench
 from sgvf_drake.fields import ParametricField
 from sgvf_drake.metrics import default_duration
 from sgvf_drake.paper.claims import Claim, Count, Figures, Rows, Verdict, every
 from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
-from sgvf_drake.paper.intervals import SHARE, interval, interval_columns
+from sgvf_drake.paper.intervals import SHARE, interval, interval_columns, over_seeds
 from sgvf_drake.paper.methods import CASES, LEARNED, METHODS, make_case
 from sgvf_drake.paper.ways import Ways, coverage, effort, errors, find_ways
+from sgvf_drake.paths import ReferencePath
 
 HANDLED, HALF, BROKEN = 0.95, 0.5, 0.05
 # One point, so often in a row, and the best of so many rows.
@@ -71,14 +71,7 @@ _MEASURES = (
 
 @dataclass(frozen=True)
 class BaselineTrial:
-    """A method on a case.
-
-    Attributes:
-        case: One of `CASES`.
-        method: One of `METHODS`.
-        seed: Seed of noise, order and training.
-        starts: Number of starts.
-    """
+    """One of `METHODS` on one of `CASES`; the rest is as in `BaselineComparison`."""
 
     case: str
     method: str
@@ -103,34 +96,40 @@ def measure_baseline(trial: BaselineTrial, folder: Path) -> Row:
     state = field.lift(point[None])[0] if isinstance(field, ParametricField) else point
     field(state)
     build_s = time.process_time() - begin
-    patience = PATIENCE.get(trial.method, 1.0)
-    unit = cloud.unit_length
-    run = follow(field, reference, trial.starts, patience * default_duration(reference, unit))
-    ways = find_ways(run, reference, unit, patience)
-    save_trajectories(folder, cloud, run, ways)
+    run, ways = follow_case(field, reference, trial.method, trial.starts, folder)
     seconds = timeit.repeat(lambda: field(state), number=EVALUATIONS, repeat=ROWS)
     return {
         "success": float(ways.good.mean()),
         "coverage": coverage(run, ways, cloud),
-        **errors(run, ways, unit),
-        "effort": effort(run, ways, unit),
+        **errors(run, ways, cloud.unit_length),
+        "effort": effort(run, ways, cloud.unit_length),
         "build_s": build_s,
         "evaluation_us": 1e6 * min(seconds) / EVALUATIONS,
     }
 
 
-def save_trajectories(folder: Path, cloud: PointCloud, run: FollowResult, ways: Ways) -> None:
-    """Leaves waypoints and agents in U, and who succeeded, for `draw_trajectories`."""
+def follow_case(
+    field: PathField, reference: ReferencePath, method: str, starts: int, folder: Path
+) -> tuple[FollowResult, Ways]:
+    """Follows the field of a method; leaves what `draw_trajectories` draws.
+
+    That is waypoints and agents in U, and who succeeded.
+    """
+    cloud, patience = field.cloud, PATIENCE.get(method, 1.0)
+    duration = patience * default_duration(reference, cloud.unit_length)
+    run = follow(field, reference, starts, duration)
+    ways = find_ways(run, reference, cloud.unit_length, patience)
     np.savez_compressed(
         folder / TRAJECTORIES,
         points=cloud.normalize(cloud.points),
         positions=cloud.normalize(run.positions[::KEPT]).astype(np.float32),
         good=ways.good,
     )
+    return run, ways
 
 
 def draw_trajectories(axes: Axes, folder: Path) -> Count:
-    """Draws what `save_trajectories` left; returns how many agents succeeded."""
+    """Draws what `follow_case` left; returns how many agents succeeded."""
     with np.load(folder / TRAJECTORIES) as stored:
         plotting.plot_trajectories(axes, stored["positions"], stored["good"])
         plotting.plot_waypoints(axes, stored["points"])
@@ -284,9 +283,11 @@ def _check(what: str, names: Sequence, known: Sequence | Mapping) -> None:
 def _table(case: str, cells: pd.DataFrame) -> pd.DataFrame:
     numbers = ["success", "coverage", "rms_u", "max_u", "effort", "build_s", "evaluation_us"]
     own = cells[cells["case"] == case].astype(dict.fromkeys(numbers, float))
-    return pd.DataFrame(
-        {
-            "method": METHODS[str(method)].label,
+    labels = {name: method.label for name, method in METHODS.items()}
+    return over_seeds(
+        own.assign(method=own["method"].map(labels)),
+        ("method",),
+        lambda found: {
             **interval_columns("success", found["success"], SHARE),
             "coverage": found["coverage"].mean(),
             **interval_columns("RMS, U", found["rms_u"]),
@@ -294,8 +295,7 @@ def _table(case: str, cells: pd.DataFrame) -> pd.DataFrame:
             **interval_columns("effort, 1/U", found["effort"]),
             "build, s": interval(found["build_s"])[0],
             "point, µs": found["evaluation_us"].min(),
-        }
-        for method, found in own.groupby("method", sort=False)
+        },
     )
 
 

@@ -8,6 +8,7 @@ of its own.
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 import math
 from typing import Any
 
@@ -25,14 +26,6 @@ class Verdict(StrEnum):
     HOLDS = "holds"
     PARTLY = "holds in part"
     FAILS = "does not hold"
-
-    @classmethod
-    def of(cls, outcomes: Iterable[bool]) -> "Verdict":
-        """Holds where every outcome is good, in part where some are, else not."""
-        good = list(outcomes)
-        if good and all(good):
-            return cls.HOLDS
-        return cls.PARTLY if any(good) else cls.FAILS
 
     @classmethod
     def when(cls, holds: bool, partly: bool = False) -> "Verdict":
@@ -143,15 +136,11 @@ class Claim:
 
 @dataclass(frozen=True)
 class Finding:
-    """A claim that was judged.
+    """A claim that was judged; what is not named here is as that of the `Claim`.
 
     Attributes:
-        key: As that of the claim.
-        source: As that of the claim.
-        statement: As that of the claim.
         verdict: What its rule says.
         evidence: The figures, as "name: figure; name: figure".
-        of_paper: As that of the claim.
     """
 
     key: str
@@ -176,24 +165,55 @@ def judge(claim: Claim, rows: Rows) -> Finding:
     )
 
 
-def every(name: str) -> Callable[[Figures], Verdict]:
-    """Returns the rule that all of a `Count` are good; in part: some."""
+def claims_of_recipes(
+    experiment: str,
+    source: str,
+    recipes: Iterable[str],
+    table: Iterable[tuple[str, str, Callable[[Rows], Figures], str]],
+) -> list[Claim]:
+    """Returns the same claims of each of several recipes, the paper's and ours.
+
+    Args:
+        experiment: The first part of the keys.
+        source: Where the paper says so.
+        recipes: The recipes; the column `recipe` of every row of a trial says which is its.
+        table: Key, statement with {} for the recipe, measure from the rows of one recipe, and
+            the name of the `Count` in it that has to be all.
+    """
+    return [
+        Claim(
+            f"{experiment}-{key}-{recipe}",
+            source,
+            statement.format(f"(recipe {recipe})"),
+            partial(_of_recipe, recipe=recipe, measure=measure),
+            every(counted),
+            of_paper=recipe == "paper",
+        )
+        for recipe in recipes
+        for key, statement, measure, counted in table
+    ]
+
+
+def _of_recipe(rows: Rows, recipe: str, measure: Callable[[Rows], Figures]) -> Figures:
+    return measure({name: own[own["recipe"] == recipe] for name, own in rows.items()})
+
+
+def every(*names: str) -> Callable[[Figures], Verdict]:
+    """Returns the rule that all of each `Count` are good; in part: some of any.
+
+    Args:
+        names: The counts; none: all of them.
+    """
 
     def rule(figures: Figures) -> Verdict:
-        count = figures[name]
-        assert isinstance(count, Count)
-        return Verdict.when(0 < count.good == count.all, count.good > 0)
+        chosen = (figures[name] for name in names or figures)
+        counts = [figure for figure in chosen if isinstance(figure, Count)]
+        return Verdict.when(
+            bool(counts) and all(0 < count.good == count.all for count in counts),
+            any(count.good > 0 for count in counts),
+        )
 
     return rule
-
-
-def every_of_all(figures: Figures) -> Verdict:
-    """Is the rule that all of all counts are good; in part: some of any."""
-    counts = [figure for figure in figures.values() if isinstance(figure, Count)]
-    return Verdict.when(
-        all(0 < count.good == count.all for count in counts),
-        any(count.good > 0 for count in counts),
-    )
 
 
 def _text(figure: Figure) -> str:

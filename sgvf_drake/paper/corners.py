@@ -16,7 +16,7 @@ import pandas as pd
 from scipy.stats import spearmanr
 
 from sgvf_drake import plotting
-from sgvf_drake.arrays import FloatArray
+from sgvf_drake.arrays import FloatArray, plane_grid
 from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments.follow import follow
@@ -24,11 +24,20 @@ from sgvf_drake.experiments.workbench import Row, Workbench
 from sgvf_drake.fields import GuidingField, ScoreNetwork, load_field
 from sgvf_drake.lyapunov import find_guiding_zeros
 from sgvf_drake.metrics import default_duration
-from sgvf_drake.paper import claims
-from sgvf_drake.paper.claims import Claim, Count, Figures, Mean, Rows, Share, Span, Verdict
+from sgvf_drake.paper.claims import (
+    Claim,
+    Count,
+    Figures,
+    Mean,
+    Rows,
+    Share,
+    Span,
+    Verdict,
+    every,
+)
 from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
-from sgvf_drake.paper.intervals import SHARE, interval, interval_columns
-from sgvf_drake.paper.training import shortened
+from sgvf_drake.paper.intervals import SHARE, interval, interval_columns, over_seeds
+from sgvf_drake.paper.training import trained
 from sgvf_drake.paper.traps import along_sides, examine, paused, polygon
 
 POLYGONS = "polygons"
@@ -84,7 +93,6 @@ TRAPS_CAPTION = (
     "corners and about the middle of sides, means over them."
 )
 
-UNIT = "unit of the waypoints"
 # Half the side of the window about a corner, U, and its pixels.
 WINDOW, PIXELS = 0.6, 161
 # The colours of |m|, and between which values.
@@ -151,22 +159,17 @@ class Corners(Experiment):
 
     def tables(self, rows: Rows) -> Sequence[Exhibit]:
         fields, traps = corner_fields(rows), corner_traps(rows)
-        groups = fields.sort_values("corners", kind="stable").groupby(
-            ["corners", "network"], sort=False
+        fields = fields.sort_values("corners", kind="stable").rename(
+            columns={"angle": "angle, degrees"}
         )
-        stalls, trapped = [], []
-        for (corners, network), own in groups:
-            here = traps[(traps["corners"] == corners) & (traps["network"] == network)]
-            labels = {
-                "angle, degrees": own["angle"].iloc[0],
-                "network": network,
-                "fields": len(own),
-            }
-            stalls.append(labels | _stalls(own))
-            trapped.append(labels | _traps(own, here))
+        by = ("angle, degrees", "network")
         return [
-            Exhibit("corner_stalls", STALLS_CAPTION, pd.DataFrame(stalls)),
-            Exhibit("corner_traps", TRAPS_CAPTION, pd.DataFrame(trapped)),
+            Exhibit("corner_stalls", STALLS_CAPTION, over_seeds(fields, by, _stalls)),
+            Exhibit(
+                "corner_traps",
+                TRAPS_CAPTION,
+                over_seeds(fields, by, lambda own: _traps(own, traps)),
+            ),
         ]
 
     def figures(self, rows: Rows) -> Sequence[Exhibit]:
@@ -191,19 +194,16 @@ def measure_corners(trial: CornerTrial, folder: Path) -> Row:
         For each network by its name: what agents did, one value each; the zeros of m and
         the sizes of s and v there; and what `examine` says.
     """
-    # Imported here: what reads the rows does not import torch.
-    from sgvf_drake.learning import train
-
     cloud = polygon_cloud(trial)
     score: ScoreNetwork | None = None
     results = {}
+    options: dict[str, Any] = {"seed": trial.seed, "effort": trial.effort}
     for name, hidden in PAPER_TANGENTS.items():
-        config = shortened("paper", trial.seed, trial.effort, tangent_hidden=hidden)
-        results[name] = train(cloud, config, score=score)
+        results[name] = trained(cloud, "paper", **options, score=score, tangent_hidden=hidden)
         learned = results[name].field.score_model
         assert isinstance(learned, ScoreNetwork)
         score = learned
-    results["robust"] = train(cloud, shortened("robust", trial.seed, trial.effort))
+    results["robust"] = trained(cloud, "robust", **options)
     return {
         name: {
             **_measure(result.field, trial, folder / name),
@@ -282,6 +282,7 @@ def _fields(rows: Rows) -> Iterator[tuple[Row, Row]]:
 
 def _stalls(fields: pd.DataFrame) -> Row:
     return {
+        "fields": len(fields),
         **interval_columns("stalled, %", 100 * fields["stalled"], PERCENT),
         **interval_columns("stalled near a corner, %", 100 * fields["stalled_near"], PERCENT),
         **interval_columns("near, of the stalled, %", 100 * fields["near"], PERCENT),
@@ -292,10 +293,13 @@ def _stalls(fields: pd.DataFrame) -> Row:
     }
 
 
-def _traps(fields: pd.DataFrame, traps: pd.DataFrame) -> Row:
+def _traps(fields: pd.DataFrame, all_traps: pd.DataFrame) -> Row:
+    corners, network = fields[["corners", "network"]].iloc[0]
+    traps = all_traps[(all_traps["corners"] == corners) & (all_traps["network"] == network)]
     along = traps["along"]
     parts = ((along < 0).sum(), (along >= 0).sum(), along.isna().sum())
     return {
+        "fields": len(fields),
         **interval_columns("corners with a trap, %", 100 * fields["trapped"], PERCENT),
         "traps": len(traps),
         "before / after / clash": " / ".join(map(str, parts)),
@@ -451,7 +455,7 @@ CLAIMS = (
         SECTION,
         "The traps of shallow networks are local attractors of the tangent field.",
         _tangent,
-        claims.every(f"below {SMALL}"),
+        every(f"below {SMALL}"),
     ),
 )
 
@@ -492,14 +496,14 @@ def corners_figure(views: Sequence[View]) -> Figure:
         final = view.positions[-1, stalled]
         panel.plot(*final.T, "X", color="black", markersize=9, markeredgecolor="white")
         title = f"{view.title}: {lapped.mean():.0%} lap, {stalled.mean():.0%} stall"
-        plotting.plane_axes(panel, UNIT, title)
-    _legend(
-        figure,
+        plotting.plane_axes(panel, plotting.UNIT, title)
+    marks = [
         Line2D([], [], color=plotting.BLUE, label="agent that laps"),
         Line2D([], [], color=plotting.RED, label="agent that does not"),
         Line2D([], [], color="black", marker="X", ls="", label="where agents stall"),
         Line2D([], [], color="black", marker=".", ls="", label="waypoints"),
-    )
+    ]
+    plotting.legend_below(figure, marks)
     return figure
 
 
@@ -510,28 +514,21 @@ def near_figure(views: Sequence[View]) -> Figure:
         _plot_corner(panel, view)
     scale = ScalarMappable(NORMS, NORM_COLORS)
     figure.colorbar(scale, ax=axes, label="|m|", shrink=0.6, extend="max")
-    _legend(
-        figure,
+    marks = [
         Line2D([], [], color="white", marker="v", mec="black", ls="", label="zero, attracts"),
         Line2D([], [], color="white", marker="o", mec="black", ls="", label="zero, other"),
         Line2D([], [], color="black", marker=".", ls="", label="waypoints"),
-    )
+    ]
+    plotting.legend_below(figure, marks)
     return figure
-
-
-def _legend(figure: Figure, *handles: Line2D) -> None:
-    figure.legend(
-        handles=handles, loc="outside lower center", ncols=len(handles), frameon=False
-    )
 
 
 def _plot_corner(axes: Axes, view: View) -> None:
     """Draws |m|, stream lines, waypoints and zeros about the slowest corner of a view."""
     half = WINDOW * view.field.cloud.unit_length
-    corner = view.found["slowest_corner"]
-    x, y = (np.linspace(middle - half, middle + half, PIXELS) for middle in corner)
-    grid = np.stack(np.meshgrid(x, y), axis=-1)
-    m = view.field(grid.reshape(-1, 2)).reshape(grid.shape)
+    corner = np.array(view.found["slowest_corner"])
+    x, y, points = plane_grid((corner - half, corner + half), PIXELS)
+    m = view.field(points).reshape(PIXELS, PIXELS, 2)
     size = np.linalg.norm(m, axis=2)
     axes.pcolormesh(x, y, size, cmap=NORM_COLORS, norm=NORMS, shading="gouraud")
     axes.streamplot(x, y, m[..., 0], m[..., 1], color="white", density=1.1, linewidth=0.7)
@@ -540,7 +537,7 @@ def _plot_corner(axes: Axes, view: View) -> None:
     stable = np.array(view.found["zeros_stable"], bool)
     for chosen, marker in ((stable, "v"), (~stable, "o")):
         axes.plot(*zeros[chosen].T, marker, color="white", mec="black", markersize=11)
-    plotting.plane_axes(axes, UNIT, view.title)
+    plotting.plane_axes(axes, plotting.UNIT, view.title)
     axes.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
 
 

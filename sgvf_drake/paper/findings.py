@@ -45,14 +45,13 @@ def findings_page(folder: Path) -> str:
         for scenario, rows in found.values()
         for finding in scenario.experiment.findings(rows)
     ]
+    ours = [one for one in findings if not one.of_paper]
     parts = [
         INTRODUCTION,
         _claims("The paper's claims", [one for one in findings if one.of_paper]),
+        _claims("Ours, by the same rules", ours),
+        *(_section(scenario, rows) for scenario, rows in found.values()),
     ]
-    parts.append(
-        _claims("Ours, by the same rules", [one for one in findings if not one.of_paper])
-    )
-    parts += [_section(scenario, rows) for scenario, rows in found.values()]
     return "\n".join(parts)
 
 

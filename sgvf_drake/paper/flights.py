@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +15,10 @@ from sgvf_drake.experiments.tour import TourResult, fly_tour
 from sgvf_drake.experiments.workbench import Row, Workbench
 from sgvf_drake.fields import load_field
 from sgvf_drake.metrics import REACH_DISTANCE
-from sgvf_drake.paper.claims import Claim, Count, Figures, Rows, Span, every
+from sgvf_drake.paper.claims import Claim, Count, Figures, Rows, Span, claims_of_recipes
 from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
-from sgvf_drake.paper.intervals import interval_columns
+from sgvf_drake.paper.intervals import interval_columns, over_seeds
+from sgvf_drake.paper.training import trained
 from sgvf_drake.paths import make_shape, shape_path
 from systems import FieldForSpeed, QuadrotorParameters, SensorParameters
 
@@ -49,16 +49,7 @@ FLIGHTS_CAPTION = (
 
 @dataclass(frozen=True)
 class FlightTrial:
-    """A tour of the pieces of a shape.
-
-    Attributes:
-        shape: One of `SHAPES`, in metres.
-        recipe: Recipe of the training.
-        seed: Seed of the cloud, the training and the noise of the measurements.
-        tour: Numbers of the pieces, in the order of the flight.
-        speed: Commanded speed, m/s.
-        laps: Laps of each piece.
-    """
+    """A tour of pieces, numbered from 0, of a shape; the rest is as in `Flights`."""
 
     shape: str
     recipe: str
@@ -74,15 +65,13 @@ def measure_flight(trial: FlightTrial, folder: Path) -> Row:
     A flight that loses control is a result as well: its row has the text of the error.
 
     Returns:
-        error; completed, summary, feasibility and real_time_factor: as of the tour; and what
-        `flown_row` does.
+        error; completed, summary, feasibility and real_time_factor: as of the tour; rms_m,
+        max_m: root mean square and largest cross-track error on the worst piece; tolerance_m:
+        the error up to which a piece counts as followed; limit_n: the largest force of a
+        propeller; and what `motion_of` does.
     """
-    # Imported here: what was flown before is shown without torch.
-    from sgvf_drake.learning import TrainingConfig, train
-
     cloud, path = make_shape(trial.shape, seed=trial.seed)
-    settings: dict[str, Any] = {"recipe": trial.recipe, "seed": trial.seed}
-    field = train(cloud, TrainingConfig(**settings)).field
+    field = trained(cloud, trial.recipe, trial.seed).field
     field.save(folder / FIELD)
     try:
         result = fly_tour(
@@ -104,27 +93,9 @@ def measure_flight(trial: FlightTrial, folder: Path) -> Row:
         "summary": summary,
         "feasibility": asdict(result.feasibility),
         "real_time_factor": result.real_time_factor,
-        **flown_row(summary["legs"], log, cloud.unit_length),
-    }
-
-
-def flown_row(legs: Sequence[Mapping[str, Any]], log: pd.DataFrame, unit_length: float) -> Row:
-    """Returns the figures of a flight that kept control.
-
-    Args:
-        legs: The legs of the tour.
-        log: The log of the tour.
-        unit_length: U of the cloud, m.
-
-    Returns:
-        rms_m, max_m: root mean square and largest cross-track error on the worst piece;
-        tolerance_m: the error up to which a piece counts as followed; limit_n: the largest
-        force of a propeller; and what `motion_of` does.
-    """
-    return {
-        "rms_m": max((leg["cross_track_rms_m"] for leg in legs), default=None),
-        "max_m": max((leg["cross_track_max_m"] for leg in legs), default=None),
-        "tolerance_m": REACH_DISTANCE * unit_length,
+        "rms_m": max((leg["cross_track_rms_m"] for leg in result.legs), default=None),
+        "max_m": max((leg["cross_track_max_m"] for leg in result.legs), default=None),
+        "tolerance_m": REACH_DISTANCE * cloud.unit_length,
         "limit_n": QuadrotorParameters().max_propeller_force,
         **motion_of(log),
     }
@@ -212,18 +183,7 @@ class Flights(Experiment):
         return {recipe: seeds for recipe, seeds in recipes.items() if seeds}
 
     def claims(self) -> Sequence[Claim]:
-        return [
-            Claim(
-                f"flights-{key}-{recipe}",
-                "Section V-B, Fig. 3",
-                f"{statement} (recipe {recipe}).",
-                partial(measure, recipe=recipe),
-                every(counted),
-                of_paper=recipe == "paper",
-            )
-            for recipe in self._recipes()
-            for key, statement, measure, counted in CLAIMS
-        ]
+        return claims_of_recipes("flights", "Section V-B, Fig. 3", self._recipes(), CLAIMS)
 
     def figures(self, rows: Rows) -> Sequence[Exhibit]:
         """Draws the first flight of each shape and recipe that has one."""
@@ -284,11 +244,10 @@ def parts_table(flights: pd.DataFrame) -> pd.DataFrame:
     if parts.empty:
         return parts
     limit = QuadrotorParameters().max_propeller_force
-    return pd.DataFrame(
-        {
-            "shape": shape,
-            "recipe": recipe,
-            "part": name,
+    return over_seeds(
+        parts,
+        ("shape", "recipe", "part"),
+        lambda own: {
             "flights": len(own),
             **interval_columns("RMS, mm", MM * own["cross_track_rms_m"]),
             **interval_columns("largest, mm", MM * own["cross_track_max_m"]),
@@ -297,8 +256,7 @@ def parts_table(flights: pd.DataFrame) -> pd.DataFrame:
             "force, %": _percent(
                 own["motor_force_min_n"].min(), own["motor_force_max_n"].max(), limit
             ),
-        }
-        for (shape, recipe, name), own in parts.groupby(["shape", "recipe", "part"], sort=False)
+        },
     )
 
 
@@ -356,9 +314,9 @@ def outcome(flight: Mapping[Any, Any]) -> str:
 FOLLOWED, SMOOTH = "flights that followed all of their pieces", "smooth flights"
 
 
-def _measure_branches(rows: Rows, recipe: str) -> Figures:
+def _measure_branches(rows: Rows) -> Figures:
     """Counts the flights along all pieces; tells how near they were, and of the others."""
-    flights = _of_recipe(rows, recipe)
+    flights = rows["flights"]
     outcomes = [outcome(flight) for flight in flights.to_dict("records")]
     follows = np.array(outcomes) == "completed"
     found: dict[str, Any] = {FOLLOWED: Count.of(follows)}
@@ -374,9 +332,9 @@ def _measure_branches(rows: Rows, recipe: str) -> Figures:
     return found | ({"the others": ", ".join(others)} if others else {})
 
 
-def _measure_smooth(rows: Rows, recipe: str) -> Figures:
+def _measure_smooth(rows: Rows) -> Figures:
     """Counts the flights whose velocity and forces stay within bounds, without jumps."""
-    flights = _of_recipe(rows, recipe)
+    flights = rows["flights"]
     # All is NaN of a flight that lost control, which compares with nothing.
     figures = flights.reindex(columns=MOTION).astype(float)
     by_speed = figures.div(flights["speed"], axis=0)
@@ -399,18 +357,18 @@ def _measure_smooth(rows: Rows, recipe: str) -> Figures:
     return found
 
 
-def _of_recipe(rows: Rows, recipe: str) -> pd.DataFrame:
-    flights = rows["flights"]
-    return flights[flights["recipe"] == recipe]
-
-
 CLAIMS = (
     (
         "branches",
-        "One field lets a quadrotor follow several branches in turn",
+        "One field lets a quadrotor follow several branches in turn {}.",
         _measure_branches,
         FOLLOWED,
     ),
-    ("smooth", "Velocity and motor inputs remain smooth and bounded", _measure_smooth, SMOOTH),
+    (
+        "smooth",
+        "Velocity and motor inputs remain smooth and bounded {}.",
+        _measure_smooth,
+        SMOOTH,
+    ),
 )
-"""Key, statement, measure and the figure that has to be all, for each recipe."""
+"""What is claimed of each recipe; see `claims_of_recipes`."""

@@ -13,7 +13,6 @@ import pandas as pd
 
 from sgvf_drake import plotting
 from sgvf_drake.clouds import PointCloud
-from sgvf_drake.experiments.follow import PATIENCE, follow
 from sgvf_drake.experiments.workbench import Row, Workbench
 from sgvf_drake.fields import (
     FloatArray,
@@ -24,17 +23,12 @@ from sgvf_drake.fields import (
     load_field,
 )
 from sgvf_drake.fields.classical import Curve
-from sgvf_drake.metrics import (
-    REACH_DISTANCE,
-    SETTLE_DISTANCE,
-    default_duration,
-    grid_starts,
-)
+from sgvf_drake.metrics import REACH_DISTANCE, SETTLE_DISTANCE, grid_starts
 from sgvf_drake.paper.baselines import (
     BaselineTrial,
     draw_trajectories,
+    follow_case,
     measure_baseline,
-    save_trajectories,
 )
 from sgvf_drake.paper.claims import (
     Claim,
@@ -45,12 +39,12 @@ from sgvf_drake.paper.claims import (
     Span,
     Verdict,
     every,
-    every_of_all,
 )
 from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
-from sgvf_drake.paper.intervals import SHARE, interval_columns
+from sgvf_drake.paper.intervals import SHARE, interval_columns, over_seeds
 from sgvf_drake.paper.methods import CASES, make_case
-from sgvf_drake.paper.ways import coverage, find_ways
+from sgvf_drake.paper.training import trained
+from sgvf_drake.paper.ways import coverage
 from sgvf_drake.paths import ReferencePath
 
 FIELD = "field.safetensors"
@@ -104,14 +98,7 @@ ORDER_CAPTION = (
 
 @dataclass(frozen=True)
 class CurveTrial:
-    """A curve through waypoints in the order in which they are given.
-
-    Attributes:
-        case: "ordered", "shuffled" or "branching", one of `CASES`.
-        curve: One of `CURVES`.
-        thinning: Every how many-th waypoint along the path is taken.
-        seed: Seed of the order.
-    """
+    """One of `CURVES` through every so many-th waypoint of a case, one of `GIVEN`."""
 
     case: str
     curve: str
@@ -121,14 +108,7 @@ class CurveTrial:
 
 @dataclass(frozen=True)
 class LearnedTrial:
-    """A field that is trained on waypoints in one order.
-
-    Attributes:
-        case: "ordered", "shuffled" or "branching", one of `CASES`.
-        recipe: The recipe of the training.
-        seed: Seed of the order and of the training.
-        starts: Number of agents on a grid over the box.
-    """
+    """A field trained on a case, one of `GIVEN`; the rest is as in `Indexing`."""
 
     case: str
     recipe: str
@@ -159,19 +139,11 @@ def measure_learned(trial: LearnedTrial, folder: Path) -> Row:
     Returns:
         success and coverage, the share of agents that succeed and of waypoints they pass.
     """
-    # Imported here: what was trained before is shown without torch.
-    from sgvf_drake.learning import TrainingConfig, train
-
     cloud, path = make_case(CASES[trial.case], trial.seed)
-    settings: dict[str, Any] = {"recipe": trial.recipe, "seed": trial.seed}
     # One attempt: at a fork, the self-check finds a fault in whatever was trained.
-    field = train(cloud, TrainingConfig(**settings, max_restarts=0)).field
-    unit = cloud.unit_length
-    duration = PATIENCE.get(trial.recipe, 1.0) * default_duration(path, unit)
-    run = follow(field, path, trial.starts, duration)
-    ways = find_ways(run, path, unit)
+    field = trained(cloud, trial.recipe, trial.seed, max_restarts=0).field
     field.save(folder / FIELD)
-    save_trajectories(folder, cloud, run, ways)
+    run, ways = follow_case(field, path, trial.recipe, trial.starts, folder)
     return {"success": float(ways.good.mean()), "coverage": coverage(run, ways, cloud)}
 
 
@@ -290,7 +262,7 @@ class Indexing(Experiment):
                 SECTION,
                 f"SGVF needs no order of the waypoints (recipe {self.recipe}).",
                 partial(_freedom, recipe=self.recipe),
-                every_of_all,
+                every(),
                 of_paper,
             ),
             Claim(
@@ -434,39 +406,34 @@ def _frame(axes: Axes, title: str) -> None:
 
 
 def _curves_table(curves: pd.DataFrame) -> pd.DataFrame:
-    return pd.DataFrame(
-        {
-            "case": case,
-            "curve": LABELS[str(curve)],
-            "waypoints": waypoints,
+    return over_seeds(
+        curves.assign(curve=curves["curve"].map(LABELS)),
+        ("case", "curve", "waypoints"),
+        lambda own: {
             **interval_columns("length over true", own["length_ratio"]),
             **interval_columns("farthest from path, U", own["farthest_u"]),
-        }
-        for (case, curve, waypoints), own in curves.groupby(
-            ["case", "curve", "waypoints"], sort=False
-        )
+        },
     )
 
 
 def _agents_table(agents: pd.DataFrame) -> pd.DataFrame:
-    return pd.DataFrame(
-        {
-            "case": case,
-            "field": _label(str(name)),
+    return over_seeds(
+        agents.assign(field=agents["field"].map(_label)),
+        ("case", "field"),
+        lambda own: {
             **interval_columns("success", own["success"], SHARE),
             **interval_columns("coverage", own["coverage"], SHARE),
-        }
-        for (case, name), own in agents.groupby(["case", "field"], sort=False)
+        },
     )
 
 
 def _order_table(changes: pd.DataFrame) -> pd.DataFrame:
-    return pd.DataFrame(
-        {"change": what}
-        | {
+    return over_seeds(
+        changes,
+        ("change",),
+        lambda own: {
             column: value
             for name in own.columns.drop("change")
             for column, value in interval_columns(str(name), own[name]).items()
-        }
-        for what, own in changes.groupby("change", sort=False)
+        },
     )

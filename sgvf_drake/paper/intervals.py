@@ -1,9 +1,11 @@
 """What a few seeds say: a mean with its interval, a fraction with its interval."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+import pandas as pd
 from scipy import stats
 
 CONFIDENCE = 0.95
@@ -54,6 +56,24 @@ def fraction_interval(successes: int, trials: int) -> tuple[float, float, float]
         raise ValueError(f"{successes} of {trials} trials cannot be successes")
     found = stats.binomtest(successes, trials).proportion_ci(CONFIDENCE, method="wilson")
     return successes / trials, float(found.low), float(found.high)
+
+
+def over_seeds(
+    rows: pd.DataFrame,
+    by: Sequence[str],
+    columns: Callable[[pd.DataFrame], Mapping[str, Any]],
+) -> pd.DataFrame:
+    """Returns a table with one row a group: its labels, and columns made of its rows.
+
+    Args:
+        rows: One row a seed of a group.
+        by: Columns whose values are the same in a group.
+        columns: The further columns, from the rows of a group.
+    """
+    return pd.DataFrame(
+        {**dict(zip(by, labels, strict=True)), **columns(own)}
+        for labels, own in rows.groupby(list(by), sort=False)
+    )
 
 
 def interval_columns(

@@ -5,7 +5,6 @@ Waypoints come in an order to the methods that need one; the cases say in which.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -23,10 +22,8 @@ from sgvf_drake.fields import (
     ParametricField,
     PursuitField,
 )
+from sgvf_drake.paper.training import trained
 from sgvf_drake.paths import ReferencePath, TracedPiece, trace_pieces
-
-if TYPE_CHECKING:
-    from sgvf_drake.learning.config import Recipe
 
 NUM_POINTS = 200
 # U; the noise of the noisy clouds of the quality suites, whose half-extent is about 4.
@@ -80,13 +77,8 @@ class Method:
     takes_order: bool = False
 
 
-def _learned(recipe: "Recipe") -> Callable[[PointCloud, int], PathField]:
-    def build(cloud: PointCloud, seed: int) -> PathField:
-        from sgvf_drake.learning import TrainingConfig, train
-
-        return train(cloud, TrainingConfig(recipe=recipe, seed=seed)).field
-
-    return build
+def _learned(recipe: str) -> Callable[[PointCloud, int], PathField]:
+    return lambda cloud, seed: trained(cloud, recipe, seed).field
 
 
 def _sorted_curves(cloud: PointCloud) -> list[FourierCurve]:

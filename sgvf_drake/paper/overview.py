@@ -2,10 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from itertools import cycle
 from pathlib import Path
-from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -19,14 +17,25 @@ from sgvf_drake.experiments.quality.measures import following, measure_score
 from sgvf_drake.experiments.workbench import Row, Workbench
 from sgvf_drake.fields import ScoreField, TangentField, load_field
 from sgvf_drake.metrics import default_duration
-from sgvf_drake.paper.claims import Claim, Count, Figures, Mean, Rows, Share, Span, every
+from sgvf_drake.paper.claims import (
+    Claim,
+    Count,
+    Figures,
+    Mean,
+    Rows,
+    Share,
+    Span,
+    claims_of_recipes,
+)
 from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
 from sgvf_drake.paper.intervals import (
     SHARE,
     fraction_columns,
     fraction_interval,
     interval_columns,
+    over_seeds,
 )
+from sgvf_drake.paper.training import trained
 from sgvf_drake.paths import ReferencePath, make_shape
 
 FIELD, LOSSES, AGENTS = "field.safetensors", "losses.parquet", "agents.npy"
@@ -63,14 +72,7 @@ LOSSES_CAPTION = (
 
 @dataclass(frozen=True)
 class OverviewTrial:
-    """A training and what follows it.
-
-    Attributes:
-        shape: One of `SHAPES`, of closed pieces.
-        recipe: Recipe of the training.
-        seed: Seed of the cloud and of the training.
-        starts: Number of agents on a grid over the box.
-    """
+    """A training of a shape by a recipe; the rest is as in `Overview`."""
 
     shape: str
     recipe: str
@@ -86,12 +88,8 @@ def measure_overview(trial: OverviewTrial, folder: Path) -> Row:
         how many agents lap; all_lap: whether all do; losses: see `tangent_courses`;
         restarts; train_cpu_s.
     """
-    # Imported here: what was measured before is shown without torch.
-    from sgvf_drake.learning import TrainingConfig, train
-
     cloud, path = make_shape(trial.shape, seed=trial.seed)
-    settings: dict[str, Any] = {"recipe": trial.recipe, "seed": trial.seed}
-    result = train(cloud, TrainingConfig(**settings))
+    result = trained(cloud, trial.recipe, trial.seed)
     duration = PATIENCE.get(trial.recipe, 1.0) * default_duration(path, cloud.unit_length)
     run = follow(result.field, path, trial.starts, duration)
     result.field.save(folder / FIELD)
@@ -185,18 +183,7 @@ class Overview(Experiment):
         return {"fields": run_trials(bench, measure_overview, trials, "overview")}
 
     def claims(self) -> Sequence[Claim]:
-        return [
-            Claim(
-                f"overview-{key}-{recipe}",
-                "Section V-A, Fig. 2",
-                statement.format(f"(recipe {recipe})"),
-                partial(measure, recipe=recipe),
-                every(counted),
-                of_paper=recipe == "paper",
-            )
-            for recipe in self.recipes
-            for key, statement, measure, counted in CLAIMS
-        ]
+        return claims_of_recipes("overview", "Section V-A, Fig. 2", self.recipes, CLAIMS)
 
     def figures(self, rows: Rows) -> Sequence[Exhibit]:
         fields = rows["fields"]
@@ -221,10 +208,10 @@ class Overview(Experiment):
 
 def fields_table(fields: pd.DataFrame) -> pd.DataFrame:
     """Returns one row a shape and recipe, over the seeds."""
-    return pd.DataFrame(
-        {
-            "shape": shape,
-            "recipe": recipe,
+    return over_seeds(
+        fields,
+        ("shape", "recipe"),
+        lambda own: {
             "reach": own["reach"].mean(),
             **interval_columns("lap", own["lap"], SHARE),
             **fraction_columns("fields followed", followed(own).tolist()),
@@ -233,8 +220,7 @@ def fields_table(fields: pd.DataFrame) -> pd.DataFrame:
             **interval_columns("least |m|", own["speed_min"]),
             **interval_columns("largest |m|", own["speed_max"]),
             **interval_columns("training, s CPU", own["train_cpu_s"]),
-        }
-        for (shape, recipe), own in fields.groupby(["shape", "recipe"], sort=False)
+        },
     )
 
 
@@ -275,7 +261,7 @@ def overview_figure(folders: Mapping[str, Path]) -> Figure:
         ):
             plotting.plot_field(each, part, field.cloud.box)
             plotting.plot_waypoints(each, field.cloud.points)
-            plotting.plane_axes(each, "unit of the waypoints", f"{recipe}: {title}")
+            plotting.plane_axes(each, plotting.UNIT, f"{recipe}: {title}")
         plotting.plot_losses(losses, history[history["stage"] == "tangent"])
         losses.set_title(f"{recipe}: losses of v")
         _draw_agents(plane, np.load(folder / AGENTS))
@@ -292,9 +278,9 @@ def _draw_agents(axes: Axes, agents: FloatArray) -> None:
 SHOWN, RESTED, TRACKED = "fields that show it", "trainings at rest", "fields followed"
 
 
-def _measure_score(rows: Rows, recipe: str) -> Figures:
-    """Compares the scores of a recipe with the exact one, near the path."""
-    fields = _of_recipe(rows, recipe)
+def _measure_score(rows: Rows) -> Figures:
+    """Compares the scores with the exact one, near the path."""
+    fields = rows["fields"]
     mean, low = fields["score_cosine"], fields["score_cosine_p5"]
     return {
         SHOWN: Count.of((mean >= MEAN_COSINE) & (low >= LOW_COSINE)),
@@ -303,9 +289,9 @@ def _measure_score(rows: Rows, recipe: str) -> Figures:
     }
 
 
-def _measure_losses(rows: Rows, recipe: str) -> Figures:
+def _measure_losses(rows: Rows) -> Figures:
     """Counts the trainings whose total tangent loss fell, came to rest, and was stable."""
-    totals = [losses["total"] for losses in _of_recipe(rows, recipe)["losses"]]
+    totals = [losses["total"] for losses in rows["fields"]["losses"]]
     return {
         RESTED: Count.of(map(converged, totals)),
         "total in the first tenth": Span.of(total["begin"] for total in totals),
@@ -314,9 +300,9 @@ def _measure_losses(rows: Rows, recipe: str) -> Figures:
     }
 
 
-def _measure_tracking(rows: Rows, recipe: str) -> Figures:
+def _measure_tracking(rows: Rows) -> Figures:
     """Counts the fields in which all starts lap, on all pieces."""
-    fields = _of_recipe(rows, recipe)
+    fields = rows["fields"]
     count = Count.of(followed(fields))
     share = fraction_interval(count.good, count.all)
     return {
@@ -324,11 +310,6 @@ def _measure_tracking(rows: Rows, recipe: str) -> Figures:
         "share of the fields": Mean(*share, percent=True),
         "starts that lap in the worst field": Share(fields["lap"].min()),
     }
-
-
-def _of_recipe(rows: Rows, recipe: str) -> pd.DataFrame:
-    fields = rows["fields"]
-    return fields[fields["recipe"] == recipe]
 
 
 CLAIMS = (
@@ -347,4 +328,4 @@ CLAIMS = (
         TRACKED,
     ),
 )
-"""Key, statement, measure and the figure that has to be all, for each recipe."""
+"""What is claimed of each recipe; see `claims_of_recipes`."""

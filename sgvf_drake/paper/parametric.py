@@ -9,9 +9,8 @@ import pandas as pd
 from scipy.optimize import minimize
 
 from sgvf_drake import plotting
-from sgvf_drake.arrays import FloatArray
+from sgvf_drake.arrays import FloatArray, plane_grid
 from sgvf_drake.clouds import PointCloud
-from sgvf_drake.experiments.figures.singularities import UNIT
 from sgvf_drake.experiments.simulation import simulate_agents
 from sgvf_drake.experiments.workbench import Row
 from sgvf_drake.fields import FourierCurve, ParametricField
@@ -35,12 +34,7 @@ PIECES = (plotting.BLUE, plotting.RED, plotting.GREEN)
 
 @dataclass(frozen=True)
 class ParametricTrial:
-    """A field with a parameter around each piece of a shape.
-
-    Attributes:
-        shape: One of `SHAPES`, of closed pieces.
-        num_points: Number of waypoints, in order, on each piece.
-    """
+    """Fields with a parameter, each around so many waypoints on one closed piece of a shape."""
 
     shape: str
     num_points: int
@@ -85,8 +79,7 @@ def least_chi(field: ParametricField) -> Row:
         speed in the `plane`, which is looked for where a robot waits for its point.
     """
     lower, upper = (field.cloud.normalize(corner) for corner in field.cloud.box)
-    axes = [np.linspace(lower[k], upper[k], GRID_POSITIONS) for k in range(2)]
-    x = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+    _, _, x = plane_grid((lower, upper), GRID_POSITIONS)
     w = np.linspace(0, field.curve.length, GRID_PARAMETERS)
     f, f_w = field.curve.derivatives(w, 1)
     # One parameter at a time, since all of them at once do not fit into the cache.
@@ -127,12 +120,7 @@ def flow(field: ParametricField) -> FloatArray:
 
 
 def plot_helices(axes: Any, trial: pd.Series) -> None:
-    """Draws curves over their parameter w, and agents that follow them.
-
-    Args:
-        axes: Axes in 3-D.
-        trial: A row of `measure_parametric`, with its folder.
-    """
+    """Draws into axes in 3-D the curves of a trial over their parameter w, and its agents."""
     fields = parametric_fields(trial["shape"], trial["num_points"])
     with np.load(trial[FOLDER] / STATES) as stored:
         flows = [stored[name] for name in sorted(stored.files)]
@@ -150,8 +138,8 @@ def plot_helices(axes: Any, trial: pd.Series) -> None:
         axes.plot(*points.T, w * unit, color=color, linewidth=2.2, label=label, zorder=3)
     axes.view_init(ELEVATION, AZIMUTH)
     axes.set(
-        xlabel=f"x [{UNIT}]",
-        ylabel=f"y [{UNIT}]",
+        xlabel=f"x [{plotting.UNIT}]",
+        ylabel=f"y [{plotting.UNIT}]",
         zlabel="parameter w",
         title="(d) the path in one more dimension, and agents",
     )

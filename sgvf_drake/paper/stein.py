@@ -16,15 +16,15 @@ import pandas as pd
 from scipy import stats
 
 from sgvf_drake import plotting
-from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments.clouds import make_cloud
 from sgvf_drake.experiments.workbench import Row, Workbench
-from sgvf_drake.fields import FloatArray, GaussianMixture, GuidingField, ScoreNetwork
+from sgvf_drake.fields import FloatArray, GaussianMixture, ScoreNetwork
 from sgvf_drake.paper.claims import Claim, Figures, Rows, Share, Span, Verdict
 from sgvf_drake.paper.experiment import Exhibit, Experiment, run_trials
 from sgvf_drake.paper.intervals import interval_columns
 from sgvf_drake.paper.moments import CHUNK, SQUASHED, Moments, collect, make_probes
+from sgvf_drake.paper.training import trained
 
 SCORES = "scores"
 """The table of the trials."""
@@ -83,15 +83,7 @@ STYLES = (
 
 @dataclass(frozen=True)
 class SteinTrial:
-    """A score that is put to the identity.
-
-    Attributes:
-        cloud: Path of the cloud, one of `clouds.PATHS`.
-        sampling: One of `clouds.SAMPLINGS`.
-        score: `EXACT`, or the recipe that learns it.
-        seed: Seed of the cloud, the training and the draws.
-        draws: Number of samples of p, a multiple of `CHUNK`.
-    """
+    """A score, `EXACT` or of the recipe that learns it; the rest is as in `SteinIdentity`."""
 
     cloud: str
     sampling: str
@@ -197,7 +189,9 @@ def measure_stein(trial: SteinTrial, folder: Path) -> Row:
     if trial.score == EXACT:
         score = mixture = GaussianMixture(cloud.normalize(cloud.points), SIGMA)
     else:
-        learned = _train(cloud, trial)
+        # The tangent is not asked for.
+        options: dict[str, Any] = {"tangent_iterations": 1, "max_restarts": 0}
+        learned = trained(cloud, trial.score, trial.seed, **options).field
         points = cloud.points if learned.support is None else learned.support
         mixture = GaussianMixture(cloud.normalize(points), learned.sigma)
         score = learned.score_model
@@ -207,14 +201,6 @@ def measure_stein(trial: SteinTrial, folder: Path) -> Row:
         "probes": [vars(probe) for probe in probes],
         "found": found_of(trial.score, moments),
     }
-
-
-def _train(cloud: PointCloud, trial: SteinTrial) -> GuidingField:
-    """Returns a field of which the score is trained; the tangent is not asked for."""
-    from sgvf_drake.learning import TrainingConfig, train
-
-    settings: dict[str, Any] = {"recipe": trial.score, "seed": trial.seed}
-    return train(cloud, TrainingConfig(**settings, tangent_iterations=1, max_restarts=0)).field
 
 
 def found_of(score: str, moments: Moments) -> Row:
@@ -418,8 +404,7 @@ def stein_figure(points: FloatArray, probes: Sequence[Row], found: Sequence[Row]
     _plot_supports(axes[0], points, probes)
     _plot_convergence(axes[1], scores)
     _plot_residuals(axes[2], probes, scores)
-    handles, labels = axes[1].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(handles))
+    plotting.legend_below(figure, *axes[1].get_legend_handles_labels())
     return figure
 
 

@@ -17,7 +17,6 @@ from sgvf_drake import plotting
 from sgvf_drake.arrays import BoolArray
 from sgvf_drake.experiments.figures.singularities import (
     MARKS,
-    UNIT,
     plot_density_map,
     plot_density_surface,
     plot_zeros,
@@ -28,9 +27,9 @@ from sgvf_drake.fields import GuidingField, ScoreField, load_field
 from sgvf_drake.lyapunov import NEAR_PATH, Singularities, find_singularities, measure_vanishing
 from sgvf_drake.paper.claims import Claim, Count, Figures, Rows, Verdict, every
 from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
-from sgvf_drake.paper.intervals import interval_columns
+from sgvf_drake.paper.intervals import interval_columns, over_seeds
 from sgvf_drake.paper.parametric import ParametricTrial, measure_parametric, plot_helices
-from sgvf_drake.paper.training import shortened
+from sgvf_drake.paper.training import trained
 from sgvf_drake.paths import ReferencePath, make_shape
 
 FIELDS, PARAMETRIC = "fields", "parametric"
@@ -147,11 +146,7 @@ class ScoreVanishing(Experiment):
         return CLAIMS
 
     def tables(self, rows: Rows) -> Sequence[Exhibit]:
-        counts, places = [], []
-        for (shape, recipe), own in fields_of(rows).groupby(["shape", "recipe"], sort=False):
-            case = {"shape": shape, "score": recipe}
-            counts.append(case | _counts(own))
-            places.append(case | _places(own))
+        fields, by = fields_of(rows).rename(columns={"recipe": "score"}), ("shape", "score")
         zeros = _robust(zeros_of(rows, "guiding"))["shape"]
         pieces = [
             {
@@ -167,8 +162,8 @@ class ScoreVanishing(Experiment):
             for number, piece in enumerate(trial["pieces"], start=1)
         ]
         return [
-            Exhibit("vanishing_counts", COUNTS_CAPTION, pd.DataFrame(counts)),
-            Exhibit("vanishing_places", WHERE_CAPTION, pd.DataFrame(places)),
+            Exhibit("vanishing_counts", COUNTS_CAPTION, over_seeds(fields, by, _counts)),
+            Exhibit("vanishing_places", WHERE_CAPTION, over_seeds(fields, by, _places)),
             Exhibit("singularity_free", PARAMETRIC_CAPTION, pd.DataFrame(pieces)),
         ]
 
@@ -200,18 +195,15 @@ def measure_score_zeros(trial: VanishingTrial, folder: Path) -> Row:
         `singularity_summary`, the summary of `measure_vanishing`, the zeros, and the regions
         of the box off the path; see `region_indices`.
     """
-    # Imported here: what reads the rows does not import torch.
-    from sgvf_drake.learning import train
-
-    settings = {
+    settings: dict[str, dict[str, Any]] = {
         # The tangent takes most of the time, and is not asked for.
         "paper": {"tangent_iterations": 1},
         # The zeros of whatever score comes out are asked for.
         "robust": {"max_restarts": 0},
     }
-    config = shortened(trial.recipe, trial.seed, trial.effort, **settings[trial.recipe])
     cloud, path = make_shape(trial.shape, seed=trial.seed)
-    field = train(cloud, config).field
+    own = settings[trial.recipe]
+    field = trained(cloud, trial.recipe, trial.seed, effort=trial.effort, **own).field
     found = find_singularities(field)
     vanishing = measure_vanishing(field, found, path)
     field.save(folder / FIELD)
@@ -219,7 +211,7 @@ def measure_score_zeros(trial: VanishingTrial, folder: Path) -> Row:
         **singularity_summary(found),
         "sigma": field.mixture.sigma,
         "unit": cloud.unit_length,
-        "vanishing": vanishing.summary(),
+        "vanishing": vanishing.summary,
         "zeros": zero_rows(found, vanishing),
         "regions": region_indices(field, found, path),
     }
@@ -336,7 +328,7 @@ def _as_topology(fields: pd.DataFrame) -> Count:
 def _places(fields: pd.DataFrame) -> Row:
     """Returns whether the zeros of a shape and recipe keep to low density, or to bends."""
     # Only the robust recipe has a tangent here, and so a path that m follows.
-    followed = fields["recipe"].iloc[0] == "robust"
+    followed = fields["score"].iloc[0] == "robust"
     least = fields["guiding_min_at_score_zeros_on_path"].min() if followed else None
     return {
         **{label: _chance(fields[name]) for name, label in COMPARISONS.items()},
@@ -508,10 +500,7 @@ CLAIMS = (
 def vanishing_figure(field: GuidingField, found: Singularities, around: pd.Series) -> Figure:
     """Returns the score with its zeros, the log-density twice, and the field beyond (Fig. 5).
 
-    Args:
-        field: The learned field.
-        found: Its singularities.
-        around: The trial of the fields in one more dimension around the same shape.
+    The last is of the trial of the fields in one more dimension `around` the same shape.
     """
     figure = Figure(figsize=(12.5, 11.5), layout="constrained")
     score = figure.add_subplot(2, 2, 1)
@@ -520,7 +509,9 @@ def vanishing_figure(field: GuidingField, found: Singularities, around: pd.Serie
         "waypoints": plotting.plot_waypoints(score, field.cloud.points)[0]
     }
     marks |= plot_zeros(score, found.score)
-    plotting.plane_axes(score, UNIT, f"(a) learned score, {len(found.score.zeros)} zeros")
+    plotting.plane_axes(
+        score, plotting.UNIT, f"(a) learned score, {len(found.score.zeros)} zeros"
+    )
     above = figure.add_subplot(2, 2, 2)
     both = plot_density_map(above, field, found)[-2:]
     above.set_title("(b) log-density from above")
@@ -529,13 +520,9 @@ def vanishing_figure(field: GuidingField, found: Singularities, around: pd.Serie
     surface.set_title("(c) log-density as a surface")
     plot_helices(figure.add_subplot(2, 2, 4, projection="3d"), around)
     names = [name for name in ("waypoints", *MARKS) if name in marks]
-    figure.legend(
-        [*(marks[name] for name in names), *both],
-        [*names, "zeros of S in (b), (c)", "zeros of m in (b), (c)"],
-        loc="outside lower center",
-        ncols=4,
-        frameon=False,
-    )
+    handles = [*(marks[name] for name in names), *both]
+    both_names = ("zeros of S in (b), (c)", "zeros of m in (b), (c)")
+    plotting.legend_below(figure, handles, [*names, *both_names], 4)
     return figure
 
 
@@ -553,9 +540,7 @@ def shapes_figure(
         marks = plot_density_map(panel, learned, found[name])[-2:]
         score, guiding = len(found[name].score.zeros), len(found[name].guiding.zeros)
         panel.set_title(f"{name}: {score} zeros of S, {guiding} of m")
-    figure.legend(
-        marks, ["zeros of S", "zeros of m"], loc="outside lower center", ncols=2, frameon=False
-    )
+    plotting.legend_below(figure, marks, ["zeros of S", "zeros of m"])
     return figure
 
 

@@ -1,19 +1,27 @@
-"""Where the measured tables go: the terminal and build/bench."""
+"""Where the measured tables of `make bench` go: the terminal and build/bench."""
 
 from pathlib import Path
 
+import pandas as pd
 import pytest
-
-OUT = Path("build/bench")
 
 
 @pytest.fixture(scope="session")
-def save():
-    """Prints a table and saves it as build/bench/NAME.csv: (table, name)."""
+def out():
+    """The folder of tables and figures."""
+    folder = Path("build/bench")
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
 
-    def save_table(table, name):
-        OUT.mkdir(parents=True, exist_ok=True)
-        table.to_csv(OUT / f"{name}.csv", index=False)
+
+@pytest.fixture(scope="session")
+def save(out):
+    """Prints rows as a table and saves it as build/bench/NAME.csv: (rows, name) -> table."""
+
+    def save_table(rows, name):
+        table = pd.DataFrame(rows)
+        table.to_csv(out / f"{name}.csv", index=False)
         print(f"\n{name}\n{table.round(4).to_string(index=False)}")
+        return table
 
     return save_table

@@ -1,43 +1,32 @@
 """Bounds of plain networks over squares, beside the interval arithmetic of Arb.
 
-Run by `make bench`; the table is printed and saved in build/bench.  Arb evaluates the network
-over the square as it stands (its natural extension), and by the mean value theorem: the value
-at the centre, and bounds of the Jacobian over the square.
+Arb evaluates the network over the square as it stands (its natural extension), and by the mean
+value theorem: the value at the centre, and bounds of the Jacobian over the square.
 """
 
+from dataclasses import replace
 from functools import partial
-from itertools import pairwise
-import time
+from itertools import product
 
 from flint import arb
 import numpy as np
-import pandas as pd
 import pytest
 
 from sgvf_drake.certificate.boxes import CHUNK, Boxes
 from sgvf_drake.certificate.network_model import model_network
-from sgvf_drake.fields import Perceptron, find_activation
+from sgvf_drake.fields import find_activation
+from tests.fields import random_perceptron
 from tests.sgvf_drake.certificate.ball_fields import BallNetwork
+
+from .measuring import best_of
 
 pytestmark = pytest.mark.benchmark
 
-WIDTHS = (2, 64, 64, 2)
 HALVES = (0.05, 0.02, 0.01)
 # Squares that each is timed over, and points at which the network is sampled on each of them.
 MANY, FEW, SAMPLES = 960, 60, 600
-REPEATS = 3
 # Float64 evaluates the sampled values, to this of themselves.
 ROUNDING = 1e-12
-
-
-def plain_network(activation):
-    rng = np.random.default_rng(0)
-    shapes = [(outputs, inputs) for inputs, outputs in pairwise(WIDTHS)]
-    return Perceptron(
-        tuple(rng.standard_normal(shape) / np.sqrt(shape[1]) for shape in shapes),
-        tuple(rng.standard_normal(outputs) for outputs, _ in shapes),
-        activation=find_activation(activation),
-    )
 
 
 def by_models(network, boxes):
@@ -75,16 +64,6 @@ METHODS = {
 }
 
 
-def seconds(call, network, boxes):
-    """The best of several, of the process: others on the machine only make it longer."""
-    taken = []
-    for _ in range(REPEATS):
-        begin = time.process_time()
-        call(network, boxes)
-        taken.append(time.process_time() - begin)
-    return min(taken)
-
-
 def sampled(network, boxes, rng):
     """The smallest and the largest value at random points and in the corners."""
     corners = np.array([[x, y] for x in (-1, 0, 1) for y in (-1, 0, 1)])
@@ -95,13 +74,15 @@ def sampled(network, boxes, rng):
 
 
 def compare(activation, half):
-    network, rng = plain_network(activation), np.random.default_rng(1)
+    rng = np.random.default_rng(1)
+    network = random_perceptron(np.random.default_rng(0), 2, (64, 64), 2)
+    network = replace(network, activation=find_activation(activation))
     boxes = Boxes(rng.uniform(-4, 4, (MANY, 2)), np.full(MANY, half))
     least, most = sampled(network, boxes, rng)
     rows, first = [], by_models(network, boxes)
     for name, (count, method) in METHODS.items():
         some = boxes[:count]
-        low, high = method(network, some)
+        ((low, high), *_), seconds = best_of(partial(method, network, some))
         width = (high - low) / (most - least)[:count]
         holds = (low <= least[:count] + ROUNDING) & (high >= most[:count] - ROUNDING)
         meets = (low <= first[1][:count]) & (high >= first[0][:count])
@@ -113,7 +94,7 @@ def compare(activation, half):
                 "width / sampled": np.median(width),
                 "at 95 %": np.quantile(width, 0.95),
                 "largest": width.max(),
-                "squares / s": round(count / seconds(method, network, some)),
+                "squares / s": round(count / seconds),
                 "hold": holds.mean(),
                 "meet": meets.mean(),
             }
@@ -122,14 +103,8 @@ def compare(activation, half):
 
 
 def test_bounds_beside_arb(save):
-    rows = [
-        row
-        for activation in ("SiLU", "Tanh")
-        for half in HALVES
-        for row in compare(activation, half)
-    ]
-    table = pd.DataFrame(rows)
-    save(table, "bounds")
+    cases = product(("SiLU", "Tanh"), HALVES)
+    table = save([row for case in cases for row in compare(*case)], "bounds")
     assert (table[["hold", "meet"]] == 1).all(axis=None)
     median = table.set_index(["activation", "half-side", "bounds"])["width / sampled"].unstack()
     assert (median["Taylor models"] < median["Arb, mean value"]).all()

@@ -1,19 +1,16 @@
-"""What a field costs: classical beside learned, and a learned score beside the exact one.
+"""What a field costs: classical beside learned, and a learned score beside the exact one."""
 
-Run by `make bench`; the tables are printed and saved in build/bench.
-"""
-
-import time
 import timeit
 
 import numpy as np
-import pandas as pd
 import pytest
 
 import sgvf_drake as sgvf
 from sgvf_drake.fields import GuidingField, ParametricField
 import sgvf_drake.learning
 from sgvf_drake.paper.methods import CASES, METHODS, make_case
+
+from .measuring import timed
 
 pytestmark = pytest.mark.benchmark
 
@@ -29,13 +26,17 @@ def test_time_to_build_and_time_of_a_value(save):
     """All on the ordered waypoints of one smooth curve."""
     cloud, _ = make_case(CASES["ordered"], 0)
     x = np.random.default_rng(0).uniform(*cloud.box, (MANY, 2))
-    rows = []
-    for method in METHODS.values():
-        begin = time.process_time()
+
+    def build(method):
+        """The field, and where it is evaluated: at the first place already here."""
         field = method.build(cloud, 0)
         states = field.lift(x) if isinstance(field, ParametricField) else x
         field(states[0])
-        build_s = time.process_time() - begin
+        return field, states
+
+    rows = []
+    for method in METHODS.values():
+        (field, states), build_s = timed(lambda method=method: build(method))
         assert np.isfinite(field(states)).all(), method.label
         row = {
             "method": method.label,
@@ -49,7 +50,7 @@ def test_time_to_build_and_time_of_a_value(save):
             np.testing.assert_allclose(evaluate(states[0])[:2], field(states[0]), atol=1e-9)
             row["compiled_us"] = microseconds(evaluate, states[0])
         rows.append(row)
-    save(pd.DataFrame(rows), "baselines")
+    save(rows, "baselines")
 
 
 def test_network_beside_mixture(save, robust_field):
@@ -75,7 +76,7 @@ def test_network_beside_mixture(save, robust_field):
         }
         for name, (model, size) in models.items()
     ]
-    save(pd.DataFrame(rows).round(1), "why_a_network")
+    save(rows, "why_a_network")
     # The mixture is exact: more waypoints of the same path change its score little, so
     # what is compared is the same thing at another price.
     fine = models["mixture of 2000"][0].score(many)

@@ -1,20 +1,14 @@
-"""Flights of learned fields over seeds: each ring at two speeds, and tours with noisy sensors.
+"""Flights of learned fields over seeds: each ring at two speeds; tours with noisy sensors."""
 
-Run by `make bench`; tables and figures are saved in build/bench.
-"""
-
-from pathlib import Path
-
-import pandas as pd
 import pytest
 
-import sgvf_drake as sgvf
 from sgvf_drake.experiments import choose_reference, fly, fly_tour, tour_figure
 from systems import FieldForSpeed, SensorParameters
 
+from .measuring import SEEDS, trained
+
 pytestmark = pytest.mark.benchmark
 
-SEEDS = (0, 1, 2)
 SPEED = 0.45
 TOURS = {"concentric-flight": (0, 1, 0), "separated-flight": (0, 1)}
 # m, m/s
@@ -23,22 +17,21 @@ LARGEST_RMS, LEAST_SPEED = 0.015, 0.2
 
 def trained_fields(shape):
     """The fields by seed, each with its reference."""
-    cloud, _ = sgvf.make_shape(shape)
     for seed in SEEDS:
-        field = sgvf.train(cloud, sgvf.TrainingConfig(seed=seed)).field
+        field = trained(shape, seed)[0].field
         yield seed, field, choose_reference(field)[0]
 
 
 def test_tracking_error_of_both_rings(save):
-    table = pd.DataFrame(
+    table = save(
         [
             {"seed": seed, "speed": speed, **flight.summary}
             for seed, field, reference in trained_fields("concentric-flight")
             for speed in (SPEED, 2.0)
-            for flight in fly(field, reference, speed).flights
-        ]
-    ).drop(columns=["start_m", "speed_command_m_s"])
-    save(table, "flight")
+            for flight in fly(field, reference, speed=speed).flights
+        ],
+        "flight",
+    )
     slow, fast = table[table["speed"] == SPEED], table[table["speed"] == 2.0]
     assert slow["cross_track_rms_m"].max() <= 0.01
     assert slow["cross_track_max_m"].max() <= 0.03
@@ -47,10 +40,11 @@ def test_tracking_error_of_both_rings(save):
 
 
 @pytest.mark.parametrize("shape", TOURS)
-def test_legs_and_transfers(save, shape):
+def test_legs_and_transfers(save, out, shape):
     tour, rows = TOURS[shape], []
     for seed, field, reference in trained_fields(shape):
-        result = fly_tour(field, reference, tour, SPEED, sensors=SensorParameters(), seed=seed)
+        options = {"speed": SPEED, "sensors": SensorParameters(), "seed": seed}
+        result = fly_tour(field, reference, tour, **options)
         summary = result.summary()
         parts = [{"part": "leg", **leg} for leg in summary["legs"]]
         parts += [{"part": "transfer", **transfer} for transfer in summary["transfers"]]
@@ -58,13 +52,11 @@ def test_legs_and_transfers(save, shape):
         rows += [{"shape": shape, "seed": seed, **part} for part in parts]
         if seed == SEEDS[0]:
             figure = tour_figure(FieldForSpeed(field, SPEED), field.cloud, result)
-            folder = Path("build/bench")
-            folder.mkdir(parents=True, exist_ok=True)
-            figure.savefig(folder / f"tour_{shape}.png")
+            figure.savefig(out / f"tour_{shape}.png")
         assert summary["completed"]
         assert tuple(leg["piece"] for leg in summary["legs"]) == tour
         assert summary["cross_track_rms_m"] <= LARGEST_RMS
         assert summary["speed_min_m_s"] >= LEAST_SPEED
         assert summary["motor_force_min_n"] > 0.0
         assert summary["motor_force_max_n"] < summary["motor_force_limit_n"]
-    save(pd.DataFrame(rows), f"tour_{shape}")
+    save(rows, f"tour_{shape}")

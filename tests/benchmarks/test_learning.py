@@ -1,18 +1,14 @@
-"""The recipes side by side: success, accuracy and training time, measured in one run.
-
-Run by `make bench`; the table is printed and saved in build/bench.
-"""
+"""The recipes side by side: success, accuracy and training time, measured in one run."""
 
 import numpy as np
-import pandas as pd
 import pytest
 
-import sgvf_drake as sgvf
 from sgvf_drake.experiments import choose_reference, follow
+
+from .measuring import SEEDS, trained
 
 pytestmark = pytest.mark.benchmark
 
-SEEDS = (0, 1, 2)
 STARTS = 400
 SHAPES = ("concentric-circles", "separated-circles", "square")
 # How much longer than one lap and a half agents are followed.  The paper's fields are slow on
@@ -25,13 +21,12 @@ CIRCLE_MAX_TARGET = 0.03
 
 
 def run_case(shape, recipe, seed):
-    cloud, path = sgvf.make_shape(shape)
-    result = sgvf.train(cloud, sgvf.TrainingConfig(recipe=recipe, seed=seed))
-    reference, _ = choose_reference(result.field)
-    duration = PATIENCE[recipe] * (1.5 * path.longest + 15 * cloud.unit_length)
+    result, path = trained(shape, seed, recipe)
+    unit, (reference, _) = result.field.cloud.unit_length, choose_reference(result.field)
+    duration = PATIENCE[recipe] * (1.5 * path.longest + 15 * unit)
     row = follow(result.field, reference, STARTS, duration).summary()
     for key in ("cross_track_rms", "cross_track_max"):
-        row[key] = np.nan if row[key] is None else row[key] / cloud.unit_length
+        row[key] = np.nan if row[key] is None else row[key] / unit
     cosine = score_cosine(result.field)
     return {
         **{"shape": shape, "recipe": recipe, "seed": seed},
@@ -57,8 +52,7 @@ def score_cosine(field):
 
 def test_recipes_side_by_side(save):
     cases = [(shape, recipe, seed) for shape in SHAPES for seed in SEEDS for recipe in PATIENCE]
-    table = pd.DataFrame([run_case(*case) for case in cases])
-    save(table, "recipes")
+    table = save([run_case(*case) for case in cases], "recipes")
     laps = table.pivot(index=["shape", "seed"], columns="recipe", values="lap_fraction")
     assert (laps["robust"] >= laps["paper"]).all()
     assert (laps["exact"] == 1).all()

@@ -16,10 +16,8 @@ runge_kutta3 at 5 ms.  RotorPy's run has the sensors that it always simulates.
 """
 
 import time
-from typing import NamedTuple
 
 import numpy as np
-import pandas as pd
 import pytest
 from rotorpy.controllers.quadrotor_control import SE3Control
 from rotorpy.environments import Environment
@@ -35,53 +33,20 @@ from systems import (
     QuadrotorParameters,
     SetHover,
 )
-from tests.benchmarks.circle import Circle
+from tests.systems.rotorpy_vehicle import THRUST_COEFFICIENT, rotorpy_parameters
+
+from .measuring import Circle, best_of
 
 pytestmark = pytest.mark.benchmark
-
-
-class Flight(NamedTuple):
-    """Positions (n, 3) in m every 10 ms, and the wall time of the simulation in s."""
-
-    positions: np.ndarray
-    wall: float
 
 
 RADIUS, ALTITUDE = 1.0, 1.0
 SPEEDS = (0.45, 2.0)
 SAMPLE_PERIOD = 0.01
 LAPS = 3
-REPEATS = 3
 START = np.array([RADIUS, 0.0, ALTITUDE])
 PARAMETERS = QuadrotorParameters()
-# RotorPy counts forces in squares of rotor speeds; any constant gives the same flight.
-THRUST_COEFFICIENT = 1e-6
 HOVER_SPEED = np.sqrt(PARAMETERS.hover_force / THRUST_COEFFICIENT)
-# The "+" layout of QuadrotorPlant.
-ROTOR_DIRECTIONS = ((1, 0, 0), (0, 1, 0), (-1, 0, 0), (0, -1, 0))
-
-
-def rotorpy_parameters():
-    """The vehicle of `QuadrotorParameters` in RotorPy's words."""
-    Ixx, Iyy, Izz = PARAMETERS.inertia
-    no_drag = dict.fromkeys(("c_Dx", "c_Dy", "c_Dz", "k_d", "k_z", "k_h", "k_flap"), 0.0)
-    return {
-        "mass": PARAMETERS.mass,
-        **{"Ixx": Ixx, "Iyy": Iyy, "Izz": Izz, "Ixy": 0.0, "Ixz": 0.0, "Iyz": 0.0},
-        "num_rotors": 4,
-        "rotor_pos": {
-            f"r{i}": PARAMETERS.arm_length * np.array(direction, float)
-            for i, direction in enumerate(ROTOR_DIRECTIONS)
-        },
-        "rotor_directions": np.array([1, -1, 1, -1]),
-        "k_eta": THRUST_COEFFICIENT,
-        "k_m": PARAMETERS.yaw_arm * THRUST_COEFFICIENT,
-        **no_drag,
-        "tau_m": np.inf,
-        "rotor_speed_min": 0.0,
-        "rotor_speed_max": np.sqrt(PARAMETERS.max_propeller_force / THRUST_COEFFICIENT),
-        "motor_noise_std": 0.0,
-    }
 
 
 class InstantRotors(Multirotor):
@@ -97,10 +62,9 @@ class InstantRotors(Multirotor):
 
 
 def make_rotorpy(speed, own_gains=True):
-    parameters = rotorpy_parameters()
-    if not own_gains:
-        wn, zeta = DEFAULT_GAINS.attitude_bandwidth, DEFAULT_GAINS.damping_ratio
-        parameters |= {"kp_att": wn**2, "kd_att": 2.0 * zeta * wn}
+    parameters = rotorpy_parameters(DEFAULT_GAINS)
+    if own_gains:
+        del parameters["kp_att"], parameters["kd_att"]
     hover = {
         "x": START,
         "v": np.zeros(3),
@@ -123,24 +87,18 @@ def make_rotorpy(speed, own_gains=True):
 
 
 def run_rotorpy(environment, duration):
-    """As RotorPy's users run it."""
-    begin = time.perf_counter()
-    result = environment.run(t_final=duration)
-    return Flight(result["state"]["x"], time.perf_counter() - begin)
+    """As RotorPy's users run it; positions (n, 3) in m every 10 ms."""
+    return environment.run(t_final=duration)["state"]["x"]
 
 
 def run_drake(field, speed, duration):
-    """As users of this project run it, with its logs."""
+    """As users of this project run it, with its logs; positions as those of RotorPy."""
     diagram = MakeFlightDiagram(field, speed=speed, altitude=ALTITUDE)
     simulator = MakeSimulator(diagram)
     context = simulator.get_mutable_context()
     SetHover(diagram, context, START)
-    simulator.Initialize()
-    begin = time.perf_counter()
     simulator.AdvanceTo(duration)
-    wall = time.perf_counter() - begin
-    log = diagram.GetSubsystemByName("state_log").FindLog(context)
-    return Flight(log.data()[:3].T, wall)
+    return diagram.GetSubsystemByName("state_log").FindLog(context).data()[:3].T
 
 
 @pytest.fixture(scope="module")
@@ -228,17 +186,16 @@ def test_circle_beside_rotorpy(save, learned):
     for speed in SPEEDS:
         duration = LAPS * 2.0 * np.pi * RADIUS / speed
         for name, run in flights(learned, speed, duration).items():
-            repeats = [run() for _ in range(REPEATS)]
+            repeats, seconds = best_of(run, clock=time.perf_counter)
             rows.append(
                 {
                     "flown by": name,
                     "speed_m_s": speed,
-                    **cross_track_error(repeats[0].positions, speed),
-                    "real_time_factor": duration / min(flight.wall for flight in repeats),
+                    **cross_track_error(repeats[0], speed),
+                    "real_time_factor": duration / seconds,
                 }
             )
-    table = pd.DataFrame(rows)
-    save(table, "rotorpy")
+    table = save(rows, "rotorpy")
     rms = table.pivot(index="flown by", columns="speed_m_s", values="cross_track_rms_m")
     # At an indoor pace everybody follows the circle to a centimetre ...
     assert (rms[0.45] < 0.01).all()

@@ -1,46 +1,39 @@
-"""Verification of every closed shape, and of the paper's recipe: one table and the maps.
+"""Verification of every closed shape, and of the paper's recipe: one table and the maps."""
 
-Run by `make bench`; the table and the maps are saved in build/bench.
-"""
-
-from pathlib import Path
 import time
 
-import pandas as pd
 import pytest
 
 import sgvf_drake as sgvf
 from sgvf_drake import plotting
 from sgvf_drake.experiments import check_theorem, verification_figure
 
+from .measuring import timed, trained
+
 pytestmark = pytest.mark.benchmark
 
-OUT = Path("build/bench/verify")
 PAPER_SHAPES = ("concentric-circles", "separated-circles", "square")
 PAPER_SEEDS = (0, 1)
 STARTS = 100
 
 
-def verify_case(shape, recipe, seed):
-    cloud, path = sgvf.make_shape(shape)
-    field = sgvf.train(cloud, sgvf.TrainingConfig(recipe=recipe, seed=seed)).field
-    begin = time.perf_counter()
-    found = sgvf.verify(field, path)
-    time_s = time.perf_counter() - begin
-    OUT.mkdir(parents=True, exist_ok=True)
+def verify_case(out, shape, recipe, seed):
+    result, path = trained(shape, seed, recipe)
+    field = result.field
+    found, time_s = timed(lambda: sgvf.verify(field, path), time.perf_counter)
     figure = verification_figure(field, found)
-    figure.savefig(OUT / f"{shape}-{recipe}-{seed}.png", dpi=plotting.DPI)
-    U, band, margins = cloud.unit_length, found.band, found.margins
-    lower, upper = cloud.box
+    figure.savefig(out / f"verify-{shape}-{recipe}-{seed}.png", dpi=plotting.DPI)
+    U, band, margins = field.cloud.unit_length, found.band, found.margins
+    lower, upper = field.cloud.box
     row = {
         "shape": shape,
         "recipe": recipe,
         "seed": seed,
         "holds": found.holds,
-        "eps": found.assumptions.cosine.mean,
-        "eps_95": found.assumptions.cosine.quantiles[2],
-        "eps_gradient": found.assumptions.gradient_cosine.mean,
-        "length_error": found.assumptions.length.mean,
+        "eps": found.assumptions["a2_cosine"]["mean"],
+        "eps_95": found.assumptions["a2_cosine"]["q95"],
+        "eps_gradient": found.assumptions["a2_cosine_gradient"]["mean"],
+        "length_error": found.assumptions["a2_length_error"]["mean"],
         "decrease": found.decrease_fraction,
         "delta": found.slowest,
         "violations": sum(violation.counts for violation in found.violations),
@@ -67,13 +60,10 @@ def verify_case(shape, recipe, seed):
     return row
 
 
-def test_verification_table(save):
-    rows = [verify_case(shape, "robust", 0) for shape in sgvf.SHAPES]
-    rows += [
-        verify_case(shape, "paper", seed) for shape in PAPER_SHAPES for seed in PAPER_SEEDS
-    ]
-    table = pd.DataFrame(rows)
-    save(table, "verify")
+def test_verification_table(save, out):
+    cases = [(shape, "robust", 0) for shape in sgvf.SHAPES]
+    cases += [(shape, "paper", seed) for shape in PAPER_SHAPES for seed in PAPER_SEEDS]
+    table = save([verify_case(out, *case) for case in cases], "verify")
     robust = table[table["recipe"] == "robust"]
     assert robust["holds"].all()
     assert (robust[["entered", "stayed"]] == 1).all(axis=None)

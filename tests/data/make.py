@@ -54,8 +54,6 @@ FIELDS = {
     "robust": StoredField(_shape("concentric-circles"), {"recipe": "robust"}),
     "exact": StoredField(_shape("concentric-circles"), {"recipe": "exact"}),
     "paper": StoredField(_shape("concentric-circles"), {"recipe": "paper"}),
-    "star": StoredField(_shape("star"), {"recipe": "robust"}),
-    "square": StoredField(_shape("square"), {"recipe": "exact"}),
     "flight": StoredField(_shape("concentric-flight"), {"recipe": "exact"}),
     "open": StoredField(open_circle, {"recipe": "exact"}),
     "half_circle": StoredField(

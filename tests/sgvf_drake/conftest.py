@@ -1,12 +1,15 @@
 """Networks in torch, as others train them, and the paper's field as torch evaluates it."""
 
 import copy
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
 import pytest
 import torch
 from torch import nn
+
+from sgvf_drake.lyapunov import take_samples, verification
 
 # Of the trained ring: its radius, and the noise level of its score.
 RADIUS, RING_SIGMA = 3.0, 0.3
@@ -66,6 +69,14 @@ def ring_tangent():
         network[0].weight.copy_(torch.tensor([[0.0, -1.0], [1.0, 0.0]]) / RADIUS)
         network[0].bias.zero_()
     return network
+
+
+@pytest.fixture(scope="module")
+def coarse_grid():
+    """Verifies on a sixth of the samples: what lies between them is found by searches."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(verification, "take_samples", partial(take_samples, grid_size=121))
+        yield
 
 
 @pytest.fixture(scope="session")

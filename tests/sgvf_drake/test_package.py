@@ -24,11 +24,6 @@ def modules_after(code, folder):
     return [set(line.split()) for line in run.stdout.splitlines()]
 
 
-def test_systems_comes_with_this_distribution():
-    # Another distribution on the index has the same import name.
-    assert Path(systems.__file__).parents[1] == PACKAGE.parent
-
-
 def test_every_public_name_resolves_and_no_other():
     assert len(sgvf_drake.__all__) == len(set(sgvf_drake.__all__))
     for name in sgvf_drake.__all__:
@@ -58,7 +53,7 @@ def test_a_field_is_evaluated_without_torch(tmp_path, make_field):
     )
     (modules,) = modules_after([code], tmp_path)
     assert "pydrake" in modules
-    assert "torch" not in modules
+    assert not modules & {"torch", "pydrake.all"}
 
 
 def test_packages_are_typed():

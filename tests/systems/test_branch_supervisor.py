@@ -227,13 +227,6 @@ def test_autodiff_decides_as_float_does():
     assert (memory.mode, memory.branch) == (Mode.HOLD, 1.0)
 
 
-def test_memory_survives_its_vector():
-    vector = np.random.default_rng(0).standard_normal(Memory.AtStart(1, 3).ToVector().size)
-    memory = Memory.FromVector(vector)
-    np.testing.assert_array_equal(memory.ToVector(), vector)
-    assert memory.control_points.shape == (6, 3)
-
-
 @pytest.mark.parametrize("name", INPUTS)
 @pytest.mark.parametrize("value", [math.nan, math.inf])
 def test_input_that_is_not_finite_is_named(name, value):

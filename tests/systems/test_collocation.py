@@ -138,14 +138,3 @@ def test_effort_converges_to_that_of_the_necessary_conditions(problem):
     errors = [abs(steer(field, start, goal, int(n))[2] / expected - 1.0) for n in KNOTS[1:]]
     assert -order(KNOTS[1:] - 1, errors) == pytest.approx(2.0, abs=0.25)
     assert errors[-1] < 1e-3
-
-
-@pytest.mark.parametrize("recipe", ["closed form", "robust"])
-def test_no_effort_is_needed_where_the_flow_leads(circle_field, make_field, recipe):
-    field = circle_field if recipe == "closed form" else make_field(recipe, gain=0.4)
-    start = np.array([0.8, 0.1]) if recipe == "closed form" else field.cloud.points[0]
-    goal = drive(field, start, lambda t: np.zeros(2), [0.0, DURATION])
-    costs = [steer(field, start, goal, int(n))[2] for n in KNOTS]
-    # What is left corrects the error of the rule, and falls with that error's square.
-    assert -order(KNOTS - 1, costs) > 7.0
-    assert costs[-1] < 1e-9

@@ -124,31 +124,6 @@ def test_flight_is_linearised_about_the_parameters_of_the_context(circle_field):
     assert np.abs(A - linearize(diagram, x).A()).max() > 1e-3 * np.abs(A).max()
 
 
-@pytest.mark.parametrize("recipe", ["robust", "exact", "paper"])
-def test_linearised_agent_on_a_learned_field_is_the_limit_of_differences(make_field, recipe):
-    field = make_field(recipe)
-    diagram = MakeKinematicDiagram(field, speed=SPEED)
-    # In units of the cloud, over which the field changes.
-    steps = field.cloud.unit_length * STEPS
-    x = field.cloud.points[0] + 0.1 * field.cloud.unit_length
-    errors = errors_of_differences(make_rate(diagram), x, linearize(diagram, x).A(), steps)
-    assert order(steps, errors) == pytest.approx(2.0, abs=0.1)
-
-
-def test_linearised_flight_predicts_the_rates_to_second_order(loop):
-    diagram, on_path = loop
-    x = state_at(on_path, seed=2)
-    linear, rate = linearize(diagram, x), make_rate(diagram)
-    np.testing.assert_allclose(linear.A() @ x + linear.f0(), rate(x), atol=1e-11)
-    direction = np.random.default_rng(3).normal(size=12)
-    direction /= np.linalg.norm(direction)
-    errors = []
-    for h in STEPS:
-        moved = x + h * direction
-        errors.append(np.linalg.norm(linear.A() @ moved + linear.f0() - rate(moved)))
-    assert order(STEPS, errors) == pytest.approx(2.0, abs=0.1)
-
-
 def test_linearised_agents_are_the_fields_jacobians(circle_field):
     positions = np.random.default_rng(4).uniform(0.3, 1.2, (3, 2))
     A = linearize(MakeKinematicDiagram(circle_field, 3, SPEED), positions.ravel()).A()

@@ -102,17 +102,6 @@ def test_feedforward_is_the_rate_of_the_command_along_the_motion(circle_field):
         )
 
 
-def test_gradient_with_respect_to_the_speed(circle_field):
-    system = GuidanceSystem(circle_field)
-    autodiff, state = system.ToAutoDiffXd(), random_states(1)[0]
-    context = autodiff.CreateDefaultContext()
-    autodiff.get_input_port().FixValue(context, InitializeAutoDiff(state, np.zeros((12, 0))))
-    autodiff.SetSpeed(context, InitializeAutoDiff(np.array([0.45]))[0, 0])
-    command = autodiff.GetOutputPort("velocity_command").Eval(context)
-    gradient = ExtractGradient(command[:2].reshape(-1, 1))
-    np.testing.assert_allclose(gradient.ravel(), circle_field(state[:2]), rtol=1e-14)
-
-
 @pytest.mark.parametrize("index", [0, 5, 11])
 def test_state_that_is_not_finite_is_named(circle_field, index):
     system = GuidanceSystem(circle_field)
@@ -228,17 +217,6 @@ def test_a_narrow_field_is_widened_to_the_rate(circle_field):
         assert system.GetFlownField(context).approach_length == pytest.approx(expected)
     with pytest.raises(ConfigurationError, match="approach_length"):
         system.SetApproachLength(context, 0.0)
-
-
-def test_a_guiding_field_is_widened_and_its_path_stays(make_field):
-    field = make_field("exact")
-    speed = 8 * RATE * field.approach_length
-    wide = FieldForSpeed(field, speed)
-    assert wide.approach_length == pytest.approx(8 * field.approach_length)
-    x = field.cloud.points[:5] + 0.1
-    np.testing.assert_array_equal(wide.score(x), field.score(x))
-    np.testing.assert_array_equal(wide.tangent(x), field.tangent(x))
-    assert np.abs(wide(x) - field(x)).max() > 0.1
 
 
 def test_without_widening_a_flight_oscillates_across_the_path():

@@ -57,14 +57,6 @@ def function():
     return make_function()
 
 
-@pytest.fixture(scope="module")
-def ring_function():
-    """V of the circle of the closed-form fields, in the plane."""
-    angle = 2.0 * math.pi * np.arange(200) / 200
-    points = np.column_stack((np.cos(angle), np.sin(angle)))
-    return LyapunovFunction(GaussianMixture(points, 0.1))
-
-
 def evaluate(monitor, state, velocity, level=None):
     """The outputs by their names."""
     context = monitor.CreateDefaultContext()

@@ -27,6 +27,8 @@ from systems.se3_law import (
     LimitThrust,
 )
 
+from .rotorpy_vehicle import rotorpy_parameters
+
 PARAMETERS = QuadrotorParameters()
 MAX_THRUST = 4 * PARAMETERS.max_propeller_force
 F_MAX = PARAMETERS.max_propeller_force
@@ -129,32 +131,7 @@ def test_law_agrees_with_lee_et_al(seed):
 @pytest.mark.parametrize("seed", range(5))
 def test_law_agrees_with_rotorpy(seed):
     state, velocity_command, _, gains = random_case(seed)
-    p, L = PARAMETERS, PARAMETERS.arm_length
-    zeros = dict.fromkeys(
-        ("Ixy", "Ixz", "Iyz", "c_Dx", "c_Dy", "c_Dz", "rotor_speed_min", "k_d", "k_z"), 0.0
-    )
-    reference = SE3Control(
-        zeros
-        | dict(zip(("Ixx", "Iyy", "Izz"), p.inertia, strict=True))
-        | {
-            "mass": p.mass,
-            "num_rotors": 4,
-            "rotor_pos": {
-                "r1": np.array([L, 0.0, 0.0]),
-                "r2": np.array([0.0, L, 0.0]),
-                "r3": np.array([-L, 0.0, 0.0]),
-                "r4": np.array([0.0, -L, 0.0]),
-            },
-            "rotor_directions": np.array([1, -1, 1, -1]),
-            "rotor_speed_max": 1.0,
-            "k_eta": 1.0,
-            "k_m": p.yaw_arm,
-            "k_flap": 0.0,
-            "tau_m": 0.0,
-            "kp_att": gains.attitude_bandwidth**2,
-            "kd_att": 2 * gains.damping_ratio * gains.attitude_bandwidth,
-        }
-    )
+    reference = SE3Control(rotorpy_parameters(gains, PARAMETERS))
     reference.kd_pos = np.full(3, gains.velocity_gain)
     rpy = RollPitchYaw(state[3:6])
     q = rpy.ToQuaternion()

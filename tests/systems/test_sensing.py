@@ -15,7 +15,6 @@ from pydrake.systems.primitives import (
     Multiplexer,
     Multiplexer_,
     PassThrough,
-    RandomSource,
     TrajectorySource,
     ZeroOrderHold,
 )
@@ -258,21 +257,6 @@ def test_seed_repeats_exactly_whatever_was_before_and_another_does_not():
         found.append(setup.noise()[1])
     assert np.all(found[0][20:] != found[1][20:])
     np.testing.assert_array_equal(found[0], found[2])
-
-
-@pytest.mark.parametrize(
-    ("zero", "sources"),
-    [
-        ([], 5),
-        (["position_noise"], 4),
-        (["attitude_noise"], 3),
-        (["position_noise", "attitude_noise", "rate_noise"], 0),
-    ],
-)
-def test_noise_of_zero_adds_no_random_systems(zero, sources):
-    capture = MotionCapture(SensorParameters(**dict.fromkeys(zero, 0.0)))
-    found = [system for system in capture.GetSystems() if isinstance(system, RandomSource)]
-    assert len(found) == sources
 
 
 @pytest.mark.parametrize("parameters", [SensorParameters(), replace(NOISELESS, delay=0.0)])

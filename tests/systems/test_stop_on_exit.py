@@ -11,8 +11,6 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from sgvf_drake.fields import GaussianMixture
-from sgvf_drake.lyapunov import LyapunovFunction
 from systems import (
     AddLyapunovMonitor,
     KinematicGuidance,
@@ -31,12 +29,9 @@ TERMINATED = SimulatorStatus.ReturnReason.kReachedTerminationCondition
 ROUNDING = 1e-9
 
 
-@pytest.fixture(scope="module")
-def V():  # noqa: N802
-    """Of 200 waypoints on the unit circle: the tube {V <= 1/2} is 0.1 wide on either side."""
-    angle = 2.0 * math.pi * np.arange(200) / 200
-    points = np.column_stack((np.cos(angle), np.sin(angle)))
-    return LyapunovFunction(GaussianMixture(points, 0.1))
+@pytest.fixture
+def V(ring_function):  # noqa: N802
+    return ring_function
 
 
 class PushedRun:

@@ -482,6 +482,7 @@ def test_wrong_mass_costs_altitude_as_the_law_says(factor):
     assert flight.off_ring(1.0, 6.5) < 0.02
 
 
+@pytest.mark.full
 def test_long_loss_lands_with_a_wrong_mass_too():
     flight = noisy(lost=[(1.995, 3.995)], supervisor={"landing_height": 0.4})
     believe(flight, 1.2)

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import ndimage
 
 from sgvf_drake import plotting
-from sgvf_drake.arrays import FloatArray
+from sgvf_drake.arrays import Box, FloatArray, plane_grid
 from sgvf_drake.certificate import Certificate, Part
 from sgvf_drake.experiments.figures.tracking import LOWEST_V, color_of, draw_errors
 from sgvf_drake.experiments.figures.verification import BELOW, FALLS, LEVELS, TUBE
@@ -62,7 +62,7 @@ def _plot_map(
     axes: Axes,
     field: GuidingField,
     found: Certificate,
-    box: tuple[FloatArray, FloatArray],
+    box: Box,
     flights: Sequence[FlightMargin],
 ) -> None:
     plotting.plot_field(axes, field, box)
@@ -77,20 +77,16 @@ def _plot_map(
         axes.plot(x[0], y[0], "o", color=color_of(flight), markersize=5)
     if found.counterexample is not None:
         axes.plot(*found.counterexample, "X", color=plotting.RED, markersize=9)
-    plotting.plane_axes(axes, "unit of the waypoints")
+    plotting.plane_axes(axes, plotting.UNIT)
     axes.set(xlim=(box[0][0], box[1][0]), ylim=(box[0][1], box[1][1]))
 
 
-def _plot_sets(
-    axes: Axes, field: GuidingField, found: Certificate, box: tuple[FloatArray, FloatArray]
-) -> None:
+def _plot_sets(axes: Axes, field: GuidingField, found: Certificate, box: Box) -> None:
     assert found.conditions is not None
     assert found.sigma is not None
     c_in, c_out = found.conditions.c_in, found.conditions.c_out
     function = LyapunovFunction(GaussianMixture(field.mixture.points, found.sigma))
-    lower, upper = box
-    x, y = (np.linspace(lower[k], upper[k], PIXELS) for k in range(2))
-    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    x, y, points = plane_grid(box, PIXELS)
     V = function(points).reshape(PIXELS, PIXELS)
     axes.contourf(x, y, V, [c_in, c_out], colors=[FALLS], alpha=0.7)
     axes.contourf(x, y, V, [-1, c_in], colors=[TUBE], alpha=0.8)
@@ -116,9 +112,7 @@ def _plot_part(
         axes.contourf(x, y, inside, [c_out, part.level], colors=[FALLS], alpha=PART_ALPHA)
 
 
-def _entry_window(
-    found: Certificate, flights: Sequence[FlightMargin]
-) -> tuple[FloatArray, FloatArray]:
+def _entry_window(found: Certificate, flights: Sequence[FlightMargin]) -> Box:
     """Returns the corners of a square about where the first flight settles, or ends."""
     assert found.tube_half_width is not None
     first = flights[0]

@@ -18,7 +18,6 @@ from systems import Mode
 
 # Behind the times of a transfer.
 SHADE = "#f3d9b1"
-UNIT = "unit of the waypoints"
 
 
 def field_figure(field: GuidingField, columns: int = 1) -> tuple[Figure, list[Axes]]:
@@ -27,7 +26,7 @@ def field_figure(field: GuidingField, columns: int = 1) -> tuple[Figure, list[Ax
     if field.dim == 2:
         plotting.plot_field(axes[0], field, field.cloud.box)
         plotting.plot_waypoints(axes[0], field.cloud.points)
-        plotting.plane_axes(axes[0], UNIT, "guiding field")
+        plotting.plane_axes(axes[0], plotting.UNIT, "guiding field")
         axes = axes[1:]
     return figure, axes
 
@@ -50,8 +49,10 @@ def follow_figure(field: GuidingField, result: FollowResult) -> Figure:
     plotting.plot_trajectories(axes[0], result.positions, followed)
     plotting.plot_waypoints(axes[0], field.cloud.points)
     title = f"{followed.sum()} of {len(followed)} starts {_aim(result.metrics)}"
-    plotting.plane_axes(axes[0], UNIT, title)
-    plotting.plot_cross_track(axes[1], result.times, result.errors, UNIT, "s at unit speed")
+    plotting.plane_axes(axes[0], plotting.UNIT, title)
+    plotting.plot_cross_track(
+        axes[1], result.times, result.errors, plotting.UNIT, "s at unit speed"
+    )
     return figure
 
 
@@ -113,20 +114,13 @@ def _flight_panels(
 
 def _plane_legend(axes: Axes, transfers: bool) -> None:
     """Names the lines of a flight, beside the plane, which a flight may fill."""
-    lines = {
-        "quadrotor": Line2D([], [], color=plotting.BLUE),
-        "transfer": Line2D([], [], color=plotting.ORANGE, linewidth=2.2),
-        "waypoints": Line2D([], [], color="black", ls=":"),
-    }
-    if not transfers:
-        del lines["transfer"]
-    axes.legend(
-        list(lines.values()),
-        list(lines),
-        loc="upper left",
-        bbox_to_anchor=(1.0, 1.0),
-        frameon=False,
-    )
+    lines = [
+        Line2D([], [], color=plotting.BLUE, label="quadrotor"),
+        Line2D([], [], color=plotting.ORANGE, linewidth=2.2, label="transfer"),
+        Line2D([], [], color="black", ls=":", label="waypoints"),
+    ]
+    shown = lines if transfers else lines[::2]
+    axes.legend(handles=shown, loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
 
 
 def trajectory_table(result: FollowResult) -> pd.DataFrame:

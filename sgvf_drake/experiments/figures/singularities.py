@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 import numpy as np
 
 from sgvf_drake import plotting
-from sgvf_drake.arrays import FloatArray
+from sgvf_drake.arrays import FloatArray, plane_grid
 from sgvf_drake.fields import GuidingField, ScoreField, TangentField
 from sgvf_drake.lyapunov import FieldZeros, Singularities, Zero
 
@@ -29,7 +29,6 @@ GUIDING_MARK = ("X", plotting.RED, "white")
 # Of more zeros than this, markers are drawn smaller; their sizes, in square points.
 FEW_ZEROS = 60
 LARGE, SMALL = 64.0, 20.0
-UNIT = "unit of the waypoints"
 # Points along each axis of the map and of the surface of the log-density.
 MAP_SIZE, SURFACE_SIZE = 301, 161
 # Both end at this percentile of the box, since the density falls for ever.
@@ -54,15 +53,9 @@ def singularity_figure(field: GuidingField, found: Singularities) -> Figure:
         marks["waypoints"] = plotting.plot_waypoints(panel, field.cloud.points)[0]
         marks |= plot_zeros(panel, zeros)
         title = f"{name}: {_count(zeros)}, sum of indices {zeros.index_sum}"
-        plotting.plane_axes(panel, UNIT, title)
+        plotting.plane_axes(panel, plotting.UNIT, title)
     shown = [name for name in ("waypoints", *MARKS) if name in marks]
-    figure.legend(
-        [marks[name] for name in shown],
-        shown,
-        loc="outside lower center",
-        ncols=8,
-        frameon=False,
-    )
+    plotting.legend_below(figure, [marks[name] for name in shown], shown, 8)
     return figure
 
 
@@ -73,7 +66,7 @@ def log_density_figure(field: GuidingField, found: Singularities) -> Figure:
     plot_density_surface(figure.add_subplot(1, 2, 2, projection="3d"), field, found)
     score, guiding = (len(zeros.zeros) for zeros in (found.score, found.guiding))
     names = [f"zeros of S ({score})", f"zeros of m ({guiding})"]
-    figure.legend(marks, names, loc="outside lower center", ncols=2, frameon=False)
+    plotting.legend_below(figure, marks, names)
     return figure
 
 
@@ -95,7 +88,7 @@ def plot_density_map(axes: Axes, field: GuidingField, found: Singularities) -> S
     axes.figure.colorbar(
         image, ax=axes, label="log p, 0 at its largest", extend="min", shrink=0.8
     )
-    plotting.plane_axes(axes, UNIT, "log-density from above")
+    plotting.plane_axes(axes, plotting.UNIT, "log-density from above")
     return [image, *_mark_both(axes, found.score.points, found.guiding.points)]
 
 
@@ -124,7 +117,11 @@ def plot_density_surface(
     artists += _mark_both(axes, *raised)
     axes.view_init(ELEVATION, AZIMUTH)
     axes.set_box_aspect(PROPORTIONS, zoom=1.1)
-    axes.set(xlabel=f"x [{UNIT}]", ylabel=f"y [{UNIT}]", title="log-density as a surface")
+    axes.set(
+        xlabel=f"x [{plotting.UNIT}]",
+        ylabel=f"y [{plotting.UNIT}]",
+        title="log-density as a surface",
+    )
     # The colour bar of the map tells the height better than an axis seen from above.
     axes.set_zticks([])
     return artists
@@ -137,9 +134,7 @@ def _density(
 
     The values are cut off at `FLOOR_PERCENTILE`.
     """
-    lower, upper = found.box
-    x, y = (np.linspace(lower[k], upper[k], size) for k in range(2))
-    grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    x, y, grid = plane_grid(found.box, size)
     values = field.mixture.log_density(grid).reshape(size, size)
     largest = float(values.max())
     floor = np.percentile(values, FLOOR_PERCENTILE)

@@ -11,7 +11,7 @@ from matplotlib.patches import Patch
 import numpy as np
 
 from sgvf_drake import plotting
-from sgvf_drake.arrays import FloatArray
+from sgvf_drake.arrays import plane_grid
 from sgvf_drake.experiments.theorem import DecreaseCheck, LevelSetCheck, ModeCheck
 from sgvf_drake.fields import GuidingField
 from sgvf_drake.fields.vectors import component_along
@@ -57,17 +57,16 @@ LEVEL_COLORS = (plotting.BLUE, plotting.ORANGE, plotting.GREEN, plotting.RED)
 def verification_figure(field: GuidingField, found: Verification) -> Figure:
     """Returns maps of V_dot and the bounds, the tube from near, and the flow by level of V."""
     figure, (box, near, profile, bounds) = plotting.new_figure(2, 2, 12.5, 11.5)
-    unit = "unit of the waypoints"
     _draw_decrease(box, field, found)
     title = "holds" if found.holds else "does NOT hold"
-    plotting.plane_axes(box, unit, f"where V falls along m (sampled): {title}")
+    plotting.plane_axes(box, plotting.UNIT, f"where V falls along m (sampled): {title}")
     _draw_tube(near, field, found)
     place = "the weakest place of the tube" if found.holds else "the first violation"
-    plotting.plane_axes(near, unit, f"{place} from near, and m")
+    plotting.plane_axes(near, plotting.UNIT, f"{place} from near, and m")
     _draw_profile(profile, found)
     _draw_bounds(bounds, found)
     title = "where the bounds on the paper's V_dot and the true one hold"
-    plotting.plane_axes(bounds, unit, title)
+    plotting.plane_axes(bounds, plotting.UNIT, title)
     box.legend(handles=_handles(found), **BELOW)
     return figure
 
@@ -103,7 +102,8 @@ def _draw_tube(axes: Axes, field: GuidingField, found: Verification) -> None:
     else:
         center = counting[0] if counting else found.margins.weakest[0]
         half = ZOOM_WIDTHS * found.band.tube.half_width
-    x, y, points = _window(center, half, ZOOM_PIXELS)
+    window = (center - half, center + half)
+    x, y, points = plane_grid(window, ZOOM_PIXELS)
     V = found.function(points).reshape(len(y), len(x))
     rises = (found.function.along(field, points) >= 0).reshape(V.shape)
     axes.pcolormesh(x, y, rises, cmap=ListedColormap([FALLS, RISES]), vmin=0, vmax=1)
@@ -112,19 +112,11 @@ def _draw_tube(axes: Axes, field: GuidingField, found: Verification) -> None:
     if found.band is not None:
         axes.contourf(x, y, V, [-1, found.band.c_in], colors=[TUBE], alpha=0.35)
         axes.contour(x, y, V, [found.band.c_in], colors=[TUBE], linewidths=1.6)
-    _, _, coarse = _window(center, half, ZOOM_ARROWS)
+    _, _, coarse = plane_grid(window, ZOOM_ARROWS)
     arrows = field(coarse)
     axes.quiver(*coarse.T, *arrows.T, color="#4d5b66", width=0.003, scale=ZOOM_ARROWS)
     plotting.plot_waypoints(axes, field.cloud.points)
     axes.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
-
-
-def _window(
-    center: FloatArray, half: float, count: int
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Returns the axes of a square window, and its points (count^2, 2), y by y."""
-    x, y = (np.linspace(middle - half, middle + half, count) for middle in center)
-    return x, y, np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
 
 
 def _draw_profile(axes: Axes, found: Verification) -> None:

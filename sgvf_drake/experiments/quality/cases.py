@@ -1,6 +1,6 @@
 """Cases, each one training and what names it; and suites of them, from few to all."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 import hashlib
@@ -22,8 +22,7 @@ HEADLINE = ("concentric-circles", "separated-circles")
 # Shapes of the size for which a noise of 0.05 is meant.
 LARGE_SHAPES = (*HEADLINE, "circle", "square", "hexagon", "octagon", "triangle", "star")
 RECIPES = ("paper", "robust", "exact")
-# Seeds of the suites, and starts where they are not those of a case, unless given.
-CLOSED_SEEDS, CLOSED_STARTS = 5, 400
+# Seeds of hard clouds, unless given.
 ROBUSTNESS_SEEDS = 3
 
 
@@ -110,57 +109,16 @@ def suite_cases(
         if number is not None and number < 1:
             raise ConfigurationError(f"the number of {name} must be at least 1, not {number}")
     cases = [
-        case
-        for part, default_seeds, default_starts in _SUITES[suite]
-        for seed in range(seeds or default_seeds)
-        for case in part(seed, starts or default_starts)
+        Case(part.name, *cloud, recipe, seed, starts or part.starts, part.overrides)
+        for part in _SUITES[suite]
+        for seed in range(seeds or part.seeds)
+        for cloud in part.clouds
+        for recipe in part.recipes
     ]
     if circuits is not None:
         own = range(seeds or ROBUSTNESS_SEEDS)
         cases += _file_cases(circuits, own, starts or STARTS)
     return cases
-
-
-def _small(seed: int, starts: int) -> list[Case]:
-    clean = ("concentric-circles", "separated-circles", "square", "star")
-    cases = [Case("small", name, seed=seed, starts=starts) for name in clean]
-    hard = (("circle", "forty"), ("star", "random-noisy"), ("hairpin", "uniform"))
-    return cases + [Case("small", *cloud, seed=seed, starts=starts) for cloud in hard]
-
-
-def _closed(seed: int, starts: int) -> list[Case]:
-    return [Case("closed", name, seed=seed, starts=starts) for name in SHAPES]
-
-
-def _robustness(seed: int, starts: int) -> list[Case]:
-    hard = (
-        *((name, "forty") for name in LARGE_SHAPES),
-        *((name, "random-noisy") for name in SHAPES),
-        ("circle", "uneven"),
-        *((name, "duplicates") for name in ("concentric-circles", "square")),
-        *((name, "outliers") for name in ("concentric-circles", "square")),
-        ("concentric-circles", "dense"),
-        *((name, "uniform") for name in ("millimetres", "kilometres")),
-        *((name, "uniform") for name in ("two-sizes", "near-touch", "hairpin")),
-        *((name, "fine") for name in clouds.CIRCUITS),
-    )
-    return [Case("robustness", *cloud, seed=seed, starts=starts) for cloud in hard]
-
-
-def _recipes(seed: int, starts: int) -> list[Case]:
-    return [
-        Case("recipes", name, recipe=recipe, seed=seed, starts=starts)
-        for name in HEADLINE
-        for recipe in RECIPES
-    ]
-
-
-def _handwriting(seed: int, starts: int) -> list[Case]:
-    overrides = (("open", True),)
-    return [
-        Case("handwriting", name, "recorded", seed=seed, starts=starts, overrides=overrides)
-        for name in clouds.HANDWRITING
-    ]
 
 
 def _file_cases(folder: Path, seeds: Iterable[int], starts: int) -> list[Case]:
@@ -183,13 +141,51 @@ def _file_cases(folder: Path, seeds: Iterable[int], starts: int) -> list[Case]:
     ]
 
 
-_Part = tuple[Callable[[int, int], list[Case]], int, int]
-_CLOSED: _Part = (_closed, CLOSED_SEEDS, CLOSED_STARTS)
-_ROBUSTNESS: _Part = (_robustness, ROBUSTNESS_SEEDS, STARTS)
-_RECIPES: _Part = (_recipes, ROBUSTNESS_SEEDS, STARTS)
-_HANDWRITING: _Part = (_handwriting, 1, STARTS)
+@dataclass(frozen=True)
+class _Part:
+    """Cases of one name, each recipe on each cloud, for some seeds from 0 on."""
+
+    name: str
+    clouds: tuple[tuple[str, str], ...]
+    recipes: tuple[str, ...] = ("robust",)
+    seeds: int = 1
+    starts: int = STARTS
+    overrides: tuple[tuple[str, Any], ...] = ()
+
+
+def _sampled(sampling: str, names: Iterable[str]) -> tuple[tuple[str, str], ...]:
+    return tuple((name, sampling) for name in names)
+
+
+_SMALL = _Part(
+    "small",
+    (
+        *_sampled("uniform", ("concentric-circles", "separated-circles", "square", "star")),
+        *(("circle", "forty"), ("star", "random-noisy"), ("hairpin", "uniform")),
+    ),
+)
+_CLOSED = _Part("closed", _sampled("uniform", SHAPES), seeds=5, starts=400)
+_ROBUSTNESS = _Part(
+    "robustness",
+    (
+        *_sampled("forty", LARGE_SHAPES),
+        *_sampled("random-noisy", SHAPES),
+        ("circle", "uneven"),
+        *_sampled("duplicates", ("concentric-circles", "square")),
+        *_sampled("outliers", ("concentric-circles", "square")),
+        ("concentric-circles", "dense"),
+        *_sampled("uniform", ("millimetres", "kilometres")),
+        *_sampled("uniform", ("two-sizes", "near-touch", "hairpin")),
+        *_sampled("fine", clouds.CIRCUITS),
+    ),
+    seeds=ROBUSTNESS_SEEDS,
+)
+_RECIPES = _Part("recipes", _sampled("uniform", HEADLINE), RECIPES, ROBUSTNESS_SEEDS)
+_HANDWRITING = _Part(
+    "handwriting", _sampled("recorded", clouds.HANDWRITING), overrides=(("open", True),)
+)
 _SUITES: dict[Suite, tuple[_Part, ...]] = {
-    Suite.SMALL: ((_small, 1, STARTS),),
+    Suite.SMALL: (_SMALL,),
     Suite.CLOSED: (_CLOSED,),
     Suite.ROBUSTNESS: (_ROBUSTNESS, _RECIPES),
     Suite.RECIPES: (_RECIPES,),

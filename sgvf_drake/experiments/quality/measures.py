@@ -26,15 +26,7 @@ Row = dict[str, Any]
 
 
 def following(run: FollowResult, unit_length: float) -> Row:
-    """Returns how well a field was followed.
-
-    Args:
-        run: The agents that followed it.
-        unit_length: U of its cloud.
-
-    Returns:
-        The fractions of `WANTED`, cross-track errors in U, and speeds on the path.
-    """
+    """Returns the fractions of `WANTED`, cross-track errors in U, and speeds on the path."""
     summary = run.summary()
 
     def in_units(key: str) -> float | None:
@@ -52,12 +44,7 @@ def following(run: FollowResult, unit_length: float) -> Row:
 
 
 def measure_score(field: GuidingField, reference: ReferencePath, seed: int) -> Row:
-    """Compares the learned score with the exact one, near the path.
-
-    Args:
-        field: The field; its `mixture` is the exact score.
-        reference: The true path.
-        seed: Of the points.
+    """Compares the learned score with that of the field's `mixture`, near its true path.
 
     Returns:
         score_cosine, score_cosine_p5: mean and 5th percentile of the cosine between the

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments import clouds
-from sgvf_drake.experiments.figures import follow_figure
+from sgvf_drake.experiments.figures.runs import follow_figure
 from sgvf_drake.experiments.follow import PATIENCE, follow
 from sgvf_drake.experiments.quality.cases import LABELS, Case
 from sgvf_drake.experiments.quality.measures import Row, failure, following, measure_score
@@ -26,20 +26,21 @@ TRIALS = "trials"
 # Digits of the digest of the code which a table shows.
 CODE_DIGITS = 12
 
-TEXTS = (
-    *("name", "shape", "sampling", "recipe", "key", "folder"),
-    *("self_check_message", "failure", "error", "code"),
-)
-INTEGERS = ("seed", "starts", "num_points", "restarts")
 MEASURES = (
     *("reach", "lap", "end", "stall", "leave", "rms_u", "max_u", "speed_min", "speed_max"),
     *("score_cosine", "score_cosine_p5", "score_bias_u", "score_curl", "orthogonality"),
     *("train_cpu_s", "wall_s", "sigma_u", "unit_length"),
 )
-COLUMNS = (
-    *(*LABELS, "starts", "failure", *MEASURES, "num_points", "restarts"),
-    *("self_check_passed", "self_check_message", "error", "code", "key", "folder"),
-)
+TEXT, INTEGER = "string", "Int64"
+COLUMNS = {
+    **dict.fromkeys(LABELS, TEXT),
+    **{"seed": INTEGER, "starts": INTEGER, "failure": TEXT},
+    **dict.fromkeys(MEASURES, "float64"),
+    **{"num_points": INTEGER, "restarts": INTEGER, "self_check_passed": "boolean"},
+    **dict.fromkeys(("self_check_message", "error", "code", "key", "folder"), TEXT),
+}
+"""The columns of the table in their order, and their types."""
+
 # What is printed of each column, of the worst case of a cloud: heading, which one, format.
 PRINTED = {
     "lap": ("lap", "min", ".1%"),
@@ -142,10 +143,7 @@ def _row(ended: Ended) -> Row:
 
 def make_table(rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
     """Returns the rows as a table with all columns, each of one type, sorted by `LABELS`."""
-    types = dict.fromkeys(MEASURES, "float64") | dict.fromkeys(INTEGERS, "Int64")
-    types |= dict.fromkeys(TEXTS, "string") | {"self_check_passed": "boolean"}
-    records = [{name: row.get(name) for name in COLUMNS} for row in rows]
-    table = pd.DataFrame(records, columns=list(COLUMNS)).astype(types)
+    table = pd.DataFrame(list(rows)).reindex(columns=list(COLUMNS)).astype(COLUMNS)
     return table.sort_values(list(LABELS), ignore_index=True)
 
 

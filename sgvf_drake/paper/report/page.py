@@ -25,12 +25,7 @@ WORDS = {
 
 
 def build_page(summary: Mapping[str, Any], folder: Path) -> str:
-    """Returns the report of a reproduction as an HTML file.
-
-    Args:
-        summary: Its `summary.json`.
-        folder: Where the results of its scenarios are, each in a folder of its name.
-    """
+    """Returns the report of a reproduction in a folder, as an HTML file, by its summary."""
     loader = PackageLoader("sgvf_drake.paper.report")
     environment = Environment(
         loader=loader,

@@ -2,10 +2,10 @@
 
 import base64
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import lru_cache
 import io
 from pathlib import Path
+from typing import NamedTuple
 
 from PIL import Image
 
@@ -20,15 +20,8 @@ CLOSE = {"quality": 90, "use_sharp_yuv": True}
 THUMB = {"quality": 80}
 
 
-@dataclass(frozen=True)
-class Embedded:
-    """A picture as the page holds it.
-
-    Attributes:
-        source: The picture itself, as an address.
-        width: Pixels.
-        height: Pixels.
-    """
+class Embedded(NamedTuple):
+    """A picture as the page holds it: its content as an address, and its size in pixels."""
 
     source: str
     width: int

@@ -9,8 +9,7 @@ import pytest
 
 from sgvf_drake.certificate.orbit_search import propose_annuli
 from sgvf_drake.certificate.orbits import Annulus, is_trapping
-
-from .conftest import circle
+from tests.helpers import circle
 
 
 def ring_of(vertices, widths, center=(0.0, 0.0)):
@@ -65,7 +64,7 @@ def test_what_is_no_ring_is_told():
 def trained(robust_field):
     """A field and a ring around the orbit of its inner piece."""
     field = robust_field
-    return field, next(propose_annuli(field, circle(2.0)))
+    return field, next(propose_annuli(field, circle(2.0, 80)))
 
 
 def inward(field, annulus):
@@ -108,4 +107,4 @@ def test_a_ring_across_the_orbit_does_not(trained, spoil):
 
 def test_a_piece_that_is_not_star_shaped_has_no_ring(trained):
     """About a point outside of the circle that it goes around."""
-    assert not list(propose_annuli(trained[0], circle(2.0)[:5] + np.array([0.5, 0.0])))
+    assert not list(propose_annuli(trained[0], circle(2.0, 80)[:5] + np.array([0.5, 0.0])))

@@ -14,8 +14,7 @@ from sgvf_drake.certificate.mixture_model import MixtureModel
 from sgvf_drake.certificate.orbit_search import propose_annuli
 from sgvf_drake.certificate.orbits import Contraction, Turning
 from sgvf_drake.fields import GaussianMixture
-
-from .conftest import circle
+from tests.helpers import circle
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -59,7 +58,7 @@ def tube(robust_field):
 @pytest.fixture(scope="module")
 def annulus(tube):
     """The first ring around the orbit of the inner piece."""
-    return next(propose_annuli(tube[0], circle(2.0)))
+    return next(propose_annuli(tube[0], circle(2.0, 80)))
 
 
 def of_piece(boxes, radii):

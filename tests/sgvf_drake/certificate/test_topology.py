@@ -8,11 +8,11 @@ from sgvf_drake.certificate.mixture_model import MixtureModel
 from sgvf_drake.certificate.sublevel_sets import cover, shape_of_band
 from sgvf_drake.fields import GaussianMixture
 from sgvf_drake.lyapunov import LyapunovFunction
+from tests import helpers
 
 
-def circle(radius, center=(0.0, 0.0), count=120):
-    angles = 2 * np.pi * np.arange(count) / count
-    return radius * np.column_stack([np.cos(angles), np.sin(angles)]) + center
+def circle(radius, center=(0.0, 0.0)):
+    return helpers.circle(radius, 120, center)
 
 
 def levels_of(points, sigma=0.2):

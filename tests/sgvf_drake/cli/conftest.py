@@ -24,6 +24,7 @@ def refused(capsys):
     """Runs a command that has to end with status 2 and one line; returns the line."""
 
     def check(*arguments):
+        capsys.readouterr()
         assert run_command(*arguments) == 2
         printed = capsys.readouterr()
         # At most what was read.
@@ -33,3 +34,11 @@ def refused(capsys):
         return printed.err
 
     return check
+
+
+@pytest.fixture(scope="session")
+def trained(tmp_path_factory, flight_field):
+    """The folder of a training, with the stored field of circles of 1 m and 2 m."""
+    folder = tmp_path_factory.mktemp("trained")
+    flight_field.save(folder / "field.safetensors")
+    return folder

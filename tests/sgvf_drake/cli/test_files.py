@@ -1,10 +1,12 @@
 """Files of waypoints at the command line: what was read is told, and kept with the field."""
 
+from dataclasses import replace
 import json
 
 import numpy as np
 
-from sgvf_drake import load_field
+from sgvf_drake import PointCloud, experiments, load_field
+from sgvf_drake.exceptions import ConfigurationError
 
 FAST = ("--recipe", "exact", "--tangent-iterations", 20, "--max-restarts", 0)
 TOLD = "lat, lon to metres east, north about 48.13720 N, 11.57560 E, 80 m x 40 m"
@@ -38,3 +40,31 @@ def test_a_field_of_degrees_keeps_their_origin(run, refused, tmp_path, capsys):
     capsys.readouterr()
     options = ("--reference", tmp_path / "gps.csv", "--out", tmp_path / "not")
     assert "the reference is in degrees, but the field's" in refused("follow", out, *options)
+
+
+def test_flights_warn_of_the_ground_and_of_blurred_pages(
+    run, tmp_path, capsys, monkeypatch, make_field
+):
+    def stop(*arguments, **options):
+        raise ConfigurationError("flown")
+
+    monkeypatch.setattr(experiments, "run_fly", stop)
+    field = make_field("exact", 3)
+    low = "warning: the path goes down to z = -4 m; the ground is at 0"
+    blurred = "warning: browsers resolve 0.64 m at coordinates of 5.4e+06 m; subtract an offset"
+    height = float(field.cloud.points[:, 2].min())
+    for offset, warnings in (
+        ([0, 0, 0], []),
+        ([0, 0, -4 - height], [low]),
+        ([5e5, 5.4e6, 0], [blurred]),
+    ):
+        moved = PointCloud(field.cloud.points + offset)
+        replace(field, cloud=moved).save(tmp_path / "field.safetensors")
+        arguments = ("fly", tmp_path / "field.safetensors", "--html", "--out", tmp_path / "out")
+        assert run(*arguments) == 2
+        *told, error = capsys.readouterr().err.splitlines()
+        assert error == "error: flown"
+        assert len(told) == len(warnings)
+        for line, warning in zip(told, warnings, strict=True):
+            assert line.startswith(warning)
+        (tmp_path / "field.safetensors").unlink()

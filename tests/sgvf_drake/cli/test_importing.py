@@ -1,16 +1,15 @@
 """The command `import`: what it leaves, what it prints, and what it says to bad input."""
 
-import json
 import os
 import re
 
-from matplotlib.image import imread
 import numpy as np
 import pytest
 import torch
 
 from sgvf_drake import PointCloud
 from sgvf_drake.experiments import choose_reference, fly, follow, open_field
+from tests.helpers import circle, ink, names_in, summary_of
 
 
 class Trap:
@@ -36,8 +35,7 @@ def inputs(tmp_path_factory, ring_networks, make_sequential):
     }.items():
         torch.save(content, folder / f"{name}.pth")
     (folder / "text.pth").write_text("x,y\n1,2\n")
-    angle = 2 * np.pi * np.arange(100) / 100
-    points = 3 * np.column_stack([np.cos(angle), np.sin(angle)])
+    points = circle(3.0, 100)
     np.savetxt(folder / "ring.csv", points, delimiter=",", header="x,y", comments="")
     spatial = np.random.default_rng(0).uniform(-1, 1, (30, 3))
     np.savetxt(folder / "spatial.txt", spatial, header="x y z")
@@ -60,10 +58,6 @@ def command(run, inputs):
 FILES = {"summary.json", "field.safetensors", "field.png"}
 
 
-def names_in(folder):
-    return {path.name for path in folder.iterdir()}
-
-
 @pytest.mark.parametrize(("option", "more"), [("--k-s", ["--normalise"]), ("--gain", [])])
 def test_waypoints_of_a_file(
     command, inputs, tmp_path, capsys, ring_networks, largest_difference, option, more
@@ -72,7 +66,7 @@ def test_waypoints_of_a_file(
     points = ("--points", inputs / "ring.csv", "--columns", "x, y")
     assert command("score.pth", "tangent.pth", *points, option, 0.7, *more, "--out", out) == 0
     assert names_in(out) == FILES
-    summary = json.loads((out / "summary.json").read_text())
+    summary = summary_of(out)
     assert (summary["points"], summary["num_points"]) == ("file", 100)
     assert (summary["gain"], summary["normalised"]) == (0.7, bool(more))
     # The noise level of the ring's score.
@@ -99,7 +93,7 @@ def test_waypoints_are_recovered(command, tmp_path, capsys, ring_networks, large
     field = open_field(tmp_path)
     assert largest_difference(field, *ring_networks) < 1e-9
     np.testing.assert_allclose(np.linalg.norm(field.cloud.points, axis=1), 3.0, atol=1e-4)
-    summary = json.loads((tmp_path / "summary.json").read_text())
+    summary = summary_of(tmp_path)
     assert summary == {
         "recipe": "imported",
         "seed": 0,
@@ -119,8 +113,7 @@ def test_waypoints_are_recovered(command, tmp_path, capsys, ring_networks, large
         "tangent_activation": "SiLU",
     }
     assert field.provenance["import"]["files"] == summary["files"]
-    pixels = imread(tmp_path / "field.png")[..., :3]
-    assert 0.005 < np.any(pixels < 0.9, axis=2).mean() < 0.9
+    assert 0.005 < ink(tmp_path / "field.png") < 0.9
     # Flown along a circle of 3 m; the field is widened for the vehicle, as any other.
     (flight,) = fly(field, choose_reference(field)[0], speed=1.0, laps=1.0).flights
     assert flight.summary["laps"] >= 1.0
@@ -129,7 +122,7 @@ def test_waypoints_are_recovered(command, tmp_path, capsys, ring_networks, large
 
 def test_waypoints_that_are_not_seen_are_asked_for(command, tmp_path, capsys):
     assert command("untrained.pth", "tangent.pth", "--out", tmp_path) == 0
-    summary = json.loads((tmp_path / "summary.json").read_text())
+    summary = summary_of(tmp_path)
     assert (summary["points"], summary["unit_length"]) == ("box", 1.0)
     shown = capsys.readouterr()
     assert "a square in their place" in shown.out
@@ -154,7 +147,7 @@ def test_results_are_replaced_only_when_asked(command, inputs, tmp_path, refused
     (tmp_path / "field.safetensors").write_text("mine")
     more = (*points, "--k-s", 0.4, "--overwrite", "--out", tmp_path)
     assert command("score.pth", "tangent.pth", *more) == 0
-    assert json.loads((tmp_path / "summary.json").read_text())["gain"] == 0.4
+    assert summary_of(tmp_path)["gain"] == 0.4
 
 
 BAD = {
@@ -201,10 +194,4 @@ def test_bad_input(refused, inputs, tmp_path, monkeypatch, arguments, expected):
     for text in expected:
         assert text in line
     # Neither results, nor the trace of a pickle that was executed.
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_the_help_lists_it_after_training(run, capsys):
-    assert run("--help") == 0
-    listed = re.findall(r"│ (\w+) ", capsys.readouterr().out)
-    assert listed.index("train") < listed.index("import") < listed.index("follow")
+    assert names_in(tmp_path) == set()

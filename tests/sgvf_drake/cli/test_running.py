@@ -1,14 +1,9 @@
-"""The commands run and scenarios: what they print and leave, and their exit status."""
-
-import json
+"""The commands run, scenarios and reproduce: what they print and leave, their exit status."""
 
 import pytest
 
 from sgvf_drake.paper import load_scenario, scenario_names
-
-
-def summary_of(folder):
-    return json.loads((folder / "summary.json").read_text())
+from tests.helpers import summary_of
 
 
 def test_a_scenario_is_run_with_its_options(run, fake_scenarios, tmp_path, capsys):
@@ -55,28 +50,22 @@ def test_trials_that_fail_end_in_status_1(run, fake_scenarios, tmp_path, capsys)
 
 
 BAD = [
-    (("beta",), "there is no scenario 'beta' (they are alpha;"),
-    (("{folder}/none.yaml",), "there is no scenario file"),
-    (("alpha", "--override", "slow"), "there is no override 'slow'"),
-    (("alpha", "--set", "sise=1"), "the setting 'sise=1' is not name=value"),
-    (("alpha", "--set", "size=many"), "setting 'size=many'"),
-    (("alpha", "--jobs", 0), "the number of jobs must be at least 1, not 0"),
+    ("run beta", "there is no scenario 'beta' (they are alpha;"),
+    ("run none.yaml", "there is no scenario file"),
+    ("run alpha --override slow", "there is no override 'slow'"),
+    ("run alpha --set sise=1", "the setting 'sise=1' is not name=value"),
+    ("run alpha --set size=many", "setting 'size=many'"),
+    ("run alpha --jobs 0", "the number of jobs must be at least 1, not 0"),
+    ("reproduce --only gamma", "there is no scenario 'gamma' (they are alpha)"),
+    ("reproduce --jobs 0", "the number of jobs must be at least 1, not 0"),
 ]
 
 
-@pytest.mark.parametrize(("arguments", "words"), BAD, ids=[words for _, words in BAD])
+@pytest.mark.parametrize(("arguments", "words"), BAD, ids=[arguments for arguments, _ in BAD])
 def test_bad_input_is_one_line(fake_scenarios, refused, tmp_path, arguments, words):
     fake_scenarios.write("alpha")
-    arguments = [str(argument).format(folder=tmp_path) for argument in arguments]
-    assert words in refused("run", *arguments, "--out", tmp_path / "out")
+    assert words in refused(*arguments.split(), "--out", tmp_path / "out")
     assert not (tmp_path / "out").exists()
-
-
-def test_results_are_not_replaced_unasked(fake_scenarios, refused, tmp_path):
-    fake_scenarios.write("alpha")
-    (tmp_path / "summary.json").write_text("mine")
-    assert "already holds summary.json" in refused("run", "alpha", "--out", tmp_path)
-    assert (tmp_path / "summary.json").read_text() == "mine"
 
 
 def test_the_scenarios_of_the_package_are_listed(run, capsys):
@@ -90,3 +79,64 @@ def test_the_scenarios_of_the_package_are_listed(run, capsys):
     assert "Fig. 1, Section I" in printed
     assert printed.count(" quick") == len(scenario_names())
     assert max(map(len, printed.splitlines())) <= 80
+
+
+# reproduce
+
+
+@pytest.fixture
+def two(fake_scenarios):
+    """Two scenarios."""
+    fake_scenarios.write("alpha", verdict="does not hold")
+    fake_scenarios.write("beta", size=4)
+    return fake_scenarios
+
+
+def rows_of(printed):
+    """The rows of the printed table by their names, cell by cell."""
+    cells = [
+        [cell.strip() for cell in line.split("│")[1:-1]]
+        for line in printed.splitlines()
+        if line.startswith("│")
+    ]
+    return {name: rest for name, *rest in cells}
+
+
+def test_everything_is_run_whatever_the_verdicts(run, two, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert run("reproduce", "--quick", "--out", out) == 0
+    printed = capsys.readouterr()
+    rows = rows_of(printed.out)
+    assert rows["alpha"][:4] == ["done", "", "", "1"]
+    assert rows["beta"][:4] == ["done", "1", "", ""]
+    assert printed.out.endswith(f"report in {out / 'report.html'}\n")
+    assert max(map(len, printed.out.splitlines()[:-1])) <= 80
+    assert printed.err == ""
+    assert (out / "report.html").stat().st_size > 1_000
+    assert summary_of(out)["quick"] is True
+
+
+def test_a_part_is_run(run, two, tmp_path, capsys):
+    assert run("reproduce", "--only", "beta", "--out", tmp_path / "out") == 0
+    rows = rows_of(capsys.readouterr().out)
+    assert rows["alpha"] == ["missing", "", "", "", ""]
+    assert rows["beta"][0] == "done"
+    assert run("reproduce", "--only", "beta", "--only", "alpha", "--out", tmp_path / "out") == 0
+    assert rows_of(capsys.readouterr().out)["alpha"][0] == "done"
+    assert len(two.measured) == 4
+
+
+def test_a_scenario_that_fails_ends_in_status_1(run, two, tmp_path, capsys):
+    two.write("alpha", error="no [ink]")
+    assert run("reproduce", "--out", tmp_path / "out") == 1
+    printed = capsys.readouterr()
+    assert rows_of(printed.out)["alpha"][0] == "failed"
+    assert rows_of(printed.out)["beta"][0] == "done"
+    assert printed.err == "alpha failed: RuntimeError: no [ink]\n"
+
+
+def test_other_results_are_not_replaced_unasked(run, two, refused, tmp_path):
+    (tmp_path / "report.html").write_text("mine")
+    assert "already holds report.html" in refused("reproduce", "--out", tmp_path)
+    assert (tmp_path / "report.html").read_text() == "mine"
+    assert run("reproduce", "--out", tmp_path, "--overwrite") == 0

@@ -9,12 +9,15 @@ import time
 import zipfile
 import zlib
 
+from hypothesis import given, settings
+from hypothesis import strategies as st
 import numpy as np
 import pandas as pd
 import pytest
 
 from sgvf_drake.clouds import source
-from sgvf_drake.clouds.reading import read_recording
+from sgvf_drake.clouds.reading import NUMPY, read_recording
+from sgvf_drake.clouds.source import GZIP, ZIP
 from sgvf_drake.exceptions import PointCloudError
 
 
@@ -67,7 +70,8 @@ TEXTS = (
     ("1,2\n1 2\n", None, r"line 2: 1 fields, not 2"),
     ("1;2\n1,5;2.5\n", None, r"line 2: '2.5' is not a number, as other .* decimal commas"),
     ("x;y\n1.234,5;2,5\n", None, r"line 2: '1.234,5' is not a number"),
-    ("1,5 2,5\n3,5 4,5\n", "0,1", r"line 1: '5 2' is not a number"),
+    ("x y\n1,5 2,5\n3,5 4,5\n", None, r"line 3: decimal commas, or pairs\? Separate"),
+    ("1,5 2,5\n3,5 4,5\n", "0,1", r"line 2: decimal commas, or pairs\?"),
     ("x,y\n1,2\nx,y\n3,4\n", None, r"line 3: 'x' is not a number"),
     ("x,y\n12 m,3 m\n", None, r"line 2: '12 m' is not a number"),
     ("lat,lon\n48 08 12 N,11 34 00 E\n", None, r"line 2: '48 08 12 N' is not a number"),
@@ -110,6 +114,7 @@ TEXTS = (
     ("lat,lon\n1,2\n3,400\n", None, "line 3: 400 is no longitude in degrees"),
     ("lat,lon\n481372000,115756000\n", None, "line 2: 481372000 is no latitude in degrees"),
     ("lat,lon\n48,11\n48.01,11\n0,0\n", None, r"line 4: 0, 0 is 5,\d\d\d km from 48.* N, 11"),
+    ("lat,lon\n48,11\n48.01,11\n-48,-169\n", None, "line 4: -48, -169 is 12,7"),
     # Transposed.
     ("\n".join(",".join("1" * 50) for _ in range(2)), None, "2 points in 50-D: transposed"),
 )
@@ -138,6 +143,7 @@ OTHERS = (
     ("p.npy", b"x,y\n1,2\n", r"not a readable \.npy file"),
     ("p.npy", npy(np.zeros((100, 2)))[:200], r"not a readable \.npy file"),
     ("p.npy", LYING, r"not a readable \.npy file"),
+    ("p.npy", LYING.replace(b"(9, 2)", b"(9, (2"), r"not a readable \.npy file"),
     ("p.npy", HUGE, r"not a readable \.npy file"),
     # Pickles are never loaded.
     ("p.npy", npy(np.array([[1, None]], dtype=object), allow_pickle=True), "not a readable"),
@@ -178,6 +184,27 @@ def test_bad_files_are_refused_in_one_line(write, monkeypatch):
         assert message.startswith(str(path)), message
         assert "\n" not in message
         assert len(message) < len(str(path)) + 340
+
+
+STARTS = [b"", b"x,y\n", b"<gpx>", b"QGC WPL 110\n0\t", NUMPY + b"\x01\x00", ZIP, GZIP, b'"']
+FIELDS = st.text(alphabet="0123456789.,;\t \n\r\"'#%/<>=&eE+-_xyznan", max_size=60)
+
+
+@settings(max_examples=300, deadline=None, derandomize=True)
+@given(start=st.sampled_from(STARTS), rest=st.one_of(st.binary(max_size=60), FIELDS))
+def test_whatever_is_in_a_file_ends_in_points_or_in_one_line(tmp_path_factory, start, rest):
+    path = tmp_path_factory.getbasetemp() / "any.csv"
+    path.write_bytes(start + (rest if isinstance(rest, bytes) else rest.encode()))
+    message = None
+    try:
+        found = read_recording(path)
+    except PointCloudError as error:
+        message = str(error)
+    if message is None:
+        assert np.isfinite(found.points).all()
+    else:
+        assert message.startswith(str(path))
+        assert "\n" not in message
 
 
 def test_places_that_are_no_files_are_refused(tmp_path):

@@ -95,7 +95,7 @@ def test_degrees_of_every_format_become_the_same_metres(write):
     np.testing.assert_allclose(read_recording(path).points[:, 0], latitude, atol=1e-7)
     for header in (
         "Latitude,Longitude,x1",
-        "gps.lat_deg,gps.lon_deg,sat",
+        "field.latitude,field.longitude_deg,n",
         "LAT [deg],LNG [deg],s",
     ):
         path = write(header + "\n" + table)
@@ -161,6 +161,7 @@ def test_trajectories_are_known_by_their_columns(write):
         found = read_recording(write(text, "poses.txt"))
         np.testing.assert_allclose(found.points, places, atol=1e-6)
         assert found.messages[0].startswith(f"poses.txt: {kind}, 9 points, x, y, z, ")
+        assert len(found.messages) == 1 + (kind == "KITTI poses")
         for columns in ("x,y", others):
             chosen = read_recording(write(text, "poses.txt"), columns)
             np.testing.assert_allclose(chosen.points, places[:, :2], atol=1e-6)

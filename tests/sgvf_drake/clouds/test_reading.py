@@ -1,6 +1,7 @@
 """Tables in text: every dialect, which columns are taken, and what is said of them."""
 
 import gzip
+import shlex
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -28,6 +29,7 @@ DIALECTS = (
     "time,y_m,x_m,w\n0,2,1,n/a\n1,4e-3,-3.5,n/a\n2,6.25,5,\n",
     "# x_m,y_m,w_right,w_left\n1,2,0,0\n-3.5,4e-3,0,0\n5,6.25,0,0\n",
     "# s x y\n0 1 2\n1 -3.5 4e-3\n2 5 6.25\n",
+    "# s_m; not used\n# x_m; y_m\n1; 2\n-3.5; 4e-3\n5; 6.25\n",
     "# s, x, y\n0 1 2\n1 -3.5 4e-3\n2 5 6.25\n",
     "%time,field.x,x,y\n0,9,1,2\n1,9,-3.5,4e-3\n2,9,5,6.25\n",
     "// made by hand\n1 2\n// a pause\n-3.5 4e-3\n5 6.25\n",
@@ -42,6 +44,7 @@ DIALECTS = (
     gzip.compress(b"x,y\n1,2\n-3.5,4e-3\n5,6.25\n"),
     "1,2\r-3.5,4e-3\r5,6.25\r",
     "1,2\n-3.5,4e-3\n5,6.25\n\x1a",
+    "sep=;\nx;y\n1;2\n-3.5;4e-3\n5;6.25\n",
     # A commented-out line of data is not a header.
     "# 9, 9\n1,2\n-3.5,4e-3\n5,6.25\n",
     # Trailing delimiters, in the data, in the header and in both.
@@ -101,17 +104,23 @@ KNOWN = (
     ("x_ref_m,y_ref_m,width_right_m,x_normvec_m,y_normvec_m", [0, 1]),
     ("x,y,x_std,y_std,ax,ay,acc_x,acc_y,force_x,force_y", [0, 1]),
     ("Up,North,East", [2, 1, 0]),
+    ("%time,field.x,field.y,field.theta,field.magnetic_field.x", [1, 2]),
+    ("Frame,Position X (mm),Position Y (mm),Rotation X,Rotation Y", [1, 2]),
+    ("TX,TY,TZ,RX,RY,RZ", [0, 1, 2]),
 )
 UNDECIDED = (
     ("a,b", "coordinates .none has a name known as one.*'a', 'b'; .* --columns a,b$"),
     ("vx,vy", "--columns vx,vy$"),
-    ("t,speed,heading", "columns 't', 'speed', 'heading'; choose with --columns"),
+    ("t,speed,heading", "columns 't', 'speed', 'heading'; choose, as in --columns"),
     ("x,y,x_ref,y_ref", ".2 sets of them.*--columns x,y$"),
     ("lat,lon,x,y", "2 sets of them"),
+    ("home_lat,home_lon,lat,lon", "2 sets of them"),
+    ("lat_rad,lon_rad", "none has a name known"),
+    ("lat [rad],lon [rad]", "none has a name known"),
     ("x,x,y", "columns with the same meaning.*--columns 0,1$"),
     ("x,speed", "none has a name"),
     (",0,1", "--columns 0,1$"),
-    (",".join(f"c{n}" for n in range(50)), "'c11' and 38 more; choose with --columns c0,c1$"),
+    (",".join(f"c{n}" for n in range(50)), "'c11' and 38 more; choose, as in --columns c0,c1$"),
     (3, "which of its 3 columns without names .*--columns 0,1 .or --columns 0,1,2 in space.$"),
     (4, "which of its 4 columns without names"),
     (8, "which of its 8 columns without names"),
@@ -176,7 +185,7 @@ def test_a_choice_is_left_to_the_user_in_one_line(write):
         assert "\n" not in str(error.value)
         assert len(str(error.value)) < len(str(path)) + 330
         # The example that it gives works.
-        suggested = str(error.value).split("--columns ")[-1].split(" ")[0].strip(")")
+        suggested = shlex.split(str(error.value).split("--columns ")[-1])[0].strip(")")
         if "with the same meaning" not in match:
             assert read_recording(path, suggested).points.shape[0] == 5
     # A height in the middle is seen.
@@ -243,6 +252,14 @@ def test_what_is_said_of_a_file(write):
             [
                 "CSV, 2 points, x, y, z, 3 x 4 x 0",
                 "z is constant (-5); for a path in the plane take --columns x,y",
+                "z is below the ground; are these north, east, down?",
+            ],
+        ),
+        (
+            "x,y,z\n0,0,-5\n3,4,-6\n",
+            None,
+            [
+                "CSV, 2 points, x, y, z, 3 x 4 x 1",
                 "z is below the ground; are these north, east, down?",
             ],
         ),

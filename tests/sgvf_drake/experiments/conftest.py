@@ -1,6 +1,5 @@
 """A stored field for flight, what it did, and a certificate by hand."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,9 +9,10 @@ from sgvf_drake.certificate import Certificate, Conditions
 from sgvf_drake.certificate.mixture_model import lowest_of, mixture_of
 from sgvf_drake.clouds import PointCloud
 from sgvf_drake.experiments import fly, follow
-from sgvf_drake.fields import GaussianMixture, Perceptron
 from sgvf_drake.fields.storage import field_digest
 from sgvf_drake.paths import Piece, ReferencePath, shape_path
+from tests.fields import exact_field
+from tests.helpers import circle
 
 # m, m/s
 ARC_RADIUS = 4.0
@@ -51,23 +51,13 @@ def constant_field():
 def circle_of_points():
     """Makes clouds on a circle: (radius, num_points=40), phase 0, no true shape."""
 
-    def make(radius, num_points=40):
-        angle = 2 * np.pi * np.arange(num_points) / num_points
-        return PointCloud(radius * np.column_stack([np.cos(angle), np.sin(angle)]))
-
-    return make
+    return lambda radius, num_points=40: PointCloud(circle(radius, num_points))
 
 
 @pytest.fixture(scope="session")
 def rings():
     """The true path: circles of 1 m and 2 m."""
     return shape_path("concentric-flight")
-
-
-@pytest.fixture(scope="session")
-def flight_result(flight_field):
-    """What stands in for a training on the two circles, which is not repeated."""
-    return SimpleNamespace(field=flight_field)
 
 
 @pytest.fixture(scope="session")
@@ -79,15 +69,9 @@ def half_circle():
 
 
 @pytest.fixture(scope="session")
-def open_field_of_arc(half_circle_field):
-    """A field along it with its end at (-4, 0): against the rule, and the reference."""
-    return half_circle_field
-
-
-@pytest.fixture(scope="session")
-def flown_to_the_end(open_field_of_arc, half_circle):
-    """A flight along it."""
-    return fly(open_field_of_arc, half_circle, speed=ARC_SPEED)
+def flown_to_the_end(half_circle_field, half_circle):
+    """A flight along it, to the end of the field at (-4, 0), where the reference begins."""
+    return fly(half_circle_field, half_circle, speed=ARC_SPEED)
 
 
 @pytest.fixture(scope="session")
@@ -111,18 +95,9 @@ RING_SIGMA_OF_V, RING_C_IN, RING_C_OUT = 0.28, 0.04, 6.0
 
 
 @pytest.fixture(scope="session")
-def ring_field(make_field):
+def ring_field():
     """A field around a circle of 4 units, with the closed-form score and a turning tangent."""
-    angle = 2 * np.pi * np.arange(80) / 80
-    cloud = PointCloud(4.0 * np.column_stack([np.cos(angle), np.sin(angle)]))
-    sigma = 0.4
-    return replace(
-        make_field("exact", sigma=sigma, gain=2 * sigma),
-        cloud=cloud,
-        sigma=sigma,
-        score_model=GaussianMixture(cloud.normalize(cloud.points), sigma),
-        tangent_network=Perceptron((np.array([[0.0, -1.0], [1.0, 0.0]]),), (np.zeros(2),)),
-    )
+    return exact_field(circle(4.0, 80), sigma=0.4, gain=0.8)
 
 
 @pytest.fixture(scope="session")

@@ -152,11 +152,11 @@ def test_loss_of_control_is_one_clear_error(monkeypatch, flight_field, rings):
 # Open pieces.
 
 
-def test_an_open_piece_is_flown_to_its_end_and_rested_at(flown_to_the_end, open_field_of_arc):
+def test_an_open_piece_is_flown_to_its_end_and_rested_at(flown_to_the_end, half_circle_field):
     (flight,) = flown_to_the_end.flights
-    log, unit = flight.log, open_field_of_arc.cloud.unit_length
+    log, unit = flight.log, half_circle_field.cloud.unit_length
     summary = flight.summary
-    np.testing.assert_allclose(open_field_of_arc.ends, [[-4.0, 0.0]], atol=0.1 * unit)
+    np.testing.assert_allclose(half_circle_field.ends, [[-4.0, 0.0]], atol=0.1 * unit)
     last = log.iloc[-1]
     assert math.hypot(last["x"] + 4.0, last["y"]) <= 0.1 * unit
     assert np.linalg.norm(last[["vx", "vy", "vz"]]) <= 0.01
@@ -194,12 +194,12 @@ def test_the_summary_tells_ends_from_laps(flown_to_the_end, flown):
         assert (summary["laps"], summary["ended"]) == expected
 
 
-def test_a_field_without_the_end_does_not_end(open_field_of_arc, half_circle):
+def test_a_field_without_the_end_does_not_end(half_circle_field, half_circle):
     # The same arc the other way around: the field rests where this reference begins, and a
     # reference that is twice as long is not at its end there.
     longer = np.concatenate([[[-4.0, -8.0]], half_circle.pieces[0].vertices])
     reference = ReferencePath((Piece(longer, closed=False),))
-    summary = fly(open_field_of_arc, reference, speed=2.0).summary()
+    summary = fly(half_circle_field, reference, speed=2.0).summary()
     assert (summary["ended"], summary["laps"]) == (False, None)
 
 

@@ -88,43 +88,31 @@ def check_cloud(path, sampling):
     assert nearest.max() <= widest / 2 * spacing + 5.5 * how.noise, named
 
 
-@pytest.mark.parametrize("sampling", ["uniform", "random-noisy", "uneven", "outliers"])
-def test_the_seed_decides_a_cloud(sampling):
-    first, again, other = (
-        clouds.make_cloud("square", sampling, seed)[0].points for seed in (3, 3, 4)
-    )
-    np.testing.assert_array_equal(first, again)
-    assert not np.array_equal(first, other)
+def test_the_seed_decides_a_cloud_and_the_order_of_its_waypoints_says_nothing():
+    for sampling in ("uniform", "random-noisy", "uneven", "outliers"):
+        first, again, other = (
+            clouds.make_cloud("square", sampling, seed)[0].points for seed in (3, 3, 4)
+        )
+        np.testing.assert_array_equal(first, again)
+        assert not np.array_equal(first, other)
+    for path, sampling in (("hairpin", "uniform"), ("Angle", "recorded")):
+        cloud, reference = clouds.make_cloud(path, sampling, seed=0)
+        arc = reference.project(cloud.points).arc
+        assert abs(np.corrcoef(arc[:-1], arc[1:])[0, 1]) < 0.3
 
 
-@pytest.mark.parametrize("path", ["hairpin", "Angle"])
-def test_the_order_of_the_waypoints_says_nothing(path):
-    sampling = "recorded" if path in clouds.HANDWRITING else "uniform"
-    cloud, reference = clouds.make_cloud(path, sampling, seed=0)
-    arc = reference.project(cloud.points).arc
-    assert abs(np.corrcoef(arc[:-1], arc[1:])[0, 1]) < 0.3
-
-
-def test_clouds_of_named_shapes_are_those_of_the_command_line():
+def test_samplings_are_what_they_say():
+    # Those of named shapes are those of the command line.
     cloud, _ = clouds.make_cloud("star", "random-noisy", seed=5)
     expected, _ = make_shape("star", noise=0.05, seed=5, sampling="random")
-    assert cloud.digest == expected.digest
-    assert cloud.shape == "star"
-
-
-def test_the_uneven_density_varies_by_ten():
+    assert (cloud.digest, cloud.shape) == (expected.digest, "star")
     cloud, reference = clouds.make_cloud("circle", "uneven", seed=0)
     steps = np.diff(np.sort(reference.project(cloud.points).arc))
     assert steps.max() / steps.min() == pytest.approx(10, rel=0.02)
-
-
-def test_duplicates_are_three_of_each():
     cloud, _ = clouds.make_cloud("square", "duplicates", seed=0)
     _, counts = np.unique(cloud.points, axis=0, return_counts=True)
     assert counts.tolist() == [3] * 200
-
-
-def test_outliers_are_anywhere_in_the_box():
+    # Outliers are anywhere in the box.
     cloud, reference = clouds.make_cloud("square", "outliers", seed=0)
     off = cloud.points[reference.project(cloud.points).distance > 1e-6]
     assert len(off) == 10
@@ -132,36 +120,30 @@ def test_outliers_are_anywhere_in_the_box():
     assert np.ptp(off, axis=0).min() > 2.0
 
 
-@pytest.mark.parametrize(("path", "factor"), [("millimetres", 1e3), ("kilometres", 1e-3)])
-def test_units_are_of_the_same_rings(path, factor):
-    reference = clouds.true_path(path)
+def test_paths_are_what_they_say():
     rings = shape_path("concentric-flight")
-    np.testing.assert_allclose(reference.lengths, factor * rings.lengths, rtol=1e-12)
-
-
-def test_the_hairpin_is_long_and_thin():
+    for path, factor in (("millimetres", 1e3), ("kilometres", 1e-3)):
+        lengths = clouds.true_path(path).lengths
+        np.testing.assert_allclose(lengths, factor * rings.lengths, rtol=1e-12)
+    # The hairpin is long and thin.
     (piece,) = clouds.true_path("hairpin").pieces
     assert piece.length == pytest.approx(2 * 8.0 + np.pi * 0.3, rel=1e-5)
     assert gap(piece, apart=1.0) == pytest.approx(0.3, rel=1e-3)
     np.testing.assert_allclose(np.ptp(piece.vertices, axis=0), [8.3, 0.3], rtol=1e-5)
 
 
-@pytest.mark.parametrize("path", clouds.CIRCUITS)
-def test_circuits_fold_without_crossing(path):
-    (piece,) = clouds.true_path(path).pieces
-    assert gap(piece, apart=1.5) == pytest.approx(clouds.CIRCUIT_GAP, rel=0.02)
-    # Smooth: between neighbouring vertices the heading turns by no more than a few degrees.
-    edges = np.diff(piece.vertices, axis=0, append=piece.vertices[:1])
-    heading = np.arctan2(edges[:, 1], edges[:, 0])
-    turn = np.diff(np.unwrap(np.append(heading, heading[0])))
-    assert np.abs(turn).max() < np.radians(6)
-    # Once around, to the left.
-    assert turn.sum() == pytest.approx(2 * np.pi)
-
-
-def test_circuits_differ():
-    lengths = [clouds.true_path(path).longest for path in clouds.CIRCUITS]
-    assert len(np.unique(np.round(lengths, 3))) == len(clouds.CIRCUITS)
+def test_circuits_differ_and_fold_without_crossing():
+    pieces = [clouds.true_path(path).pieces[0] for path in clouds.CIRCUITS]
+    assert len({round(piece.length, 3) for piece in pieces}) == len(clouds.CIRCUITS)
+    for piece in pieces:
+        assert gap(piece, apart=1.5) == pytest.approx(clouds.CIRCUIT_GAP, rel=0.02)
+        # Smooth: between neighbouring vertices the heading turns by a few degrees at most.
+        edges = np.diff(piece.vertices, axis=0, append=piece.vertices[:1])
+        heading = np.arctan2(edges[:, 1], edges[:, 0])
+        turn = np.diff(np.unwrap(np.append(heading, heading[0])))
+        assert np.abs(turn).max() < np.radians(6)
+        # Once around, to the left.
+        assert turn.sum() == pytest.approx(2 * np.pi)
 
 
 def write_track(file, radius=3.0):
@@ -181,12 +163,6 @@ def test_files_are_measured_against_themselves_in_order(tmp_path):
     )
     assert reference.closed.tolist() == [True]
     np.testing.assert_array_equal(reference.pieces[0].vertices, points)
-
-
-@pytest.mark.parametrize(("path", "sampling"), [("nowhere", "uniform"), ("circle", "never")])
-def test_unknown_clouds_are_refused(path, sampling):
-    with pytest.raises(ConfigurationError, match=r"there is no .*(nowhere|never)"):
-        clouds.make_cloud(path, sampling, 0)
 
 
 # The suites.
@@ -224,7 +200,10 @@ def test_keys_are_unique_and_safe_for_files(tmp_path):
     assert all(re.fullmatch(r"[a-z0-9_.-]+", key) for key in keys)
 
 
-def test_bad_suites_are_refused(tmp_path):
+def test_unknown_clouds_and_bad_suites_are_refused(tmp_path):
+    for path, sampling in (("nowhere", "uniform"), ("circle", "never")):
+        with pytest.raises(ConfigurationError, match=r"there is no .*(nowhere|never)"):
+            clouds.make_cloud(path, sampling, 0)
     for arguments in ((0,), (1, 0)):
         with pytest.raises(ConfigurationError, match="must be at least 1"):
             suite_cases(Suite.CLOSED, *arguments)
@@ -295,19 +274,16 @@ GOOD = {
 }
 
 
-@pytest.mark.parametrize(
-    ("change", "text"),
-    [
+def test_failures_are_in_words():
+    for change, text in (
         ({}, None),
         ({"lap": None, "end": 1.0}, None),
         ({"lap": 0.965}, "lap 96.5%, self-check passed"),
         ({"lap": None, "end": 0.5}, "end 50.0%, self-check passed"),
         ({"stall": 0.1, "self_check_passed": False}, "stall 10.0%, self-check: fine"),
         ({"self_check_passed": False}, "self-check: fine"),
-    ],
-)
-def test_failures_are_in_words(change, text):
-    assert measures.failure({**GOOD, **change}) == text
+    ):
+        assert measures.failure({**GOOD, **change}) == text
 
 
 # Running, once in earnest.

@@ -48,39 +48,34 @@ def test_results_appear_when_they_are_whole(tmp_path):
 
 @pytest.mark.parametrize("error", [WorkError, KeyboardInterrupt])
 @pytest.mark.parametrize("out", ["out", "a/b/out"])
-def test_a_failure_leaves_nothing(tmp_path, error, out):
-    def work():
-        with result_folder(tmp_path / out, NAMES) as folder:
+def test_a_failure_leaves_nothing_and_older_results_alone(tmp_path, error, out):
+    def work(**options):
+        with result_folder(tmp_path / out, NAMES, **options) as folder:
             write(folder, "half")
             raise error
 
     with pytest.raises(error):
         work()
     assert tree(tmp_path) == {}
-
-
-def test_a_failure_leaves_older_results_alone(tmp_path):
-    out = tmp_path / "out"
-    with result_folder(out, NAMES) as folder:
+    with result_folder(tmp_path / out, NAMES) as folder:
         write(folder, "old")
     before = tree(tmp_path)
-
-    def work():
-        with result_folder(out, NAMES, overwrite=True) as folder:
-            write(folder, "half")
-            raise WorkError
-
-    with pytest.raises(WorkError):
-        work()
+    with pytest.raises(error):
+        work(overwrite=True)
     assert tree(tmp_path) == before
 
 
-def test_a_clash_is_found_before_the_work(tmp_path):
-    (tmp_path / "data.csv").write_text("precious")
-    with pytest.raises(OutputExistsError, match=r"already holds data\.csv; .*--overwrite"):  # noqa: SIM117
-        with result_folder(tmp_path, NAMES):
-            pytest.fail("the work began")
-    assert tree(tmp_path) == {"data.csv": "precious"}
+@pytest.mark.parametrize("out", ["file", "file/inner", "file/inner/most", "."])
+def test_what_is_in_the_way_is_found_before_the_work(tmp_path, out):
+    mine = {"file": "mine", "data.csv": "precious"}
+    for name, text in mine.items():
+        (tmp_path / name).write_text(text)
+    error, match = ConfigurationError, "file is not a folder"
+    if out == ".":
+        error, match = OutputExistsError, r"already holds data\.csv; .*--overwrite"
+    with pytest.raises(error, match=match), result_folder(tmp_path / out, NAMES):
+        pytest.fail("the work began")
+    assert tree(tmp_path) == mine
 
 
 def test_what_is_in_the_way_is_found_without_a_trace(tmp_path):
@@ -123,6 +118,8 @@ def test_overwriting_replaces_the_results_and_nothing_else(tmp_path):
     out = tmp_path / "out"
     with result_folder(out, NAMES) as folder:
         write(folder, "old")
+        # Of an earlier run nothing is left.
+        write_summary(folder, {})
     (out / "notes.txt").write_text("mine")
     (out / "part" / "more.txt").write_text("mine too")
     with result_folder(out, NAMES, overwrite=True) as folder:
@@ -136,31 +133,12 @@ def test_overwriting_replaces_the_results_and_nothing_else(tmp_path):
     }
 
 
-def test_overwriting_leaves_nothing_of_an_earlier_run(tmp_path):
-    with result_folder(tmp_path, NAMES) as folder:
-        write(folder, "old")
-        write_summary(folder, {})
-    with result_folder(tmp_path, NAMES, overwrite=True) as folder:
-        write(folder, "new")
-    assert not (tmp_path / "summary.json").exists()
-    assert (tmp_path / "data.csv").read_text() == "new"
-
-
 def test_files_of_other_names_stay_in_the_current_folder(tmp_path, monkeypatch):
     (tmp_path / "notes.txt").write_text("mine")
     monkeypatch.chdir(tmp_path)
     with result_folder(".", NAMES) as folder:
         (folder / "data.csv").write_text("new")
     assert tree(tmp_path) == {"data.csv": "new", "notes.txt": "mine"}
-
-
-@pytest.mark.parametrize("out", ["file", "file/inner", "file/inner/most"])
-def test_a_file_in_the_way_is_found_before_the_work(tmp_path, out):
-    (tmp_path / "file").write_text("mine")
-    with pytest.raises(ConfigurationError, match="file is not a folder"):  # noqa: SIM117
-        with result_folder(tmp_path / out, NAMES):
-            pytest.fail("the work began")
-    assert tree(tmp_path) == {"file": "mine"}
 
 
 def test_a_name_that_was_not_declared_is_a_mistake(tmp_path):

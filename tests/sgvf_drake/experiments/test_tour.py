@@ -174,8 +174,8 @@ def test_a_tour_that_takes_too_long_is_not_completed(flight_field, rings):
     np.testing.assert_allclose([now for _, now, _ in told], np.arange(1, 21) / 10)
 
 
-def test_an_open_piece_is_flown_to_its_end(open_field_of_arc, half_circle):
-    result = fly_tour(open_field_of_arc, half_circle, (0,), speed=1.0)
+def test_an_open_piece_is_flown_to_its_end(half_circle_field, half_circle):
+    result = fly_tour(half_circle_field, half_circle, (0,), speed=1.0)
     last = result.log.iloc[-1]
     assert result.completed
     assert math.hypot(last["x"] + 4.0, last["y"]) <= 0.1

@@ -11,20 +11,17 @@ from scipy.special import i0e
 from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments import tube, tube_curves
-from sgvf_drake.fields import GaussianMixture
 from sgvf_drake.lyapunov import LyapunovFunction
+from tests.fields import exact_field
+from tests.helpers import circle
 
 RADIUS, SIGMA, C_IN = 2.0, 0.4, 0.5
 
 
 @pytest.fixture(scope="module")
-def field(circle_of_points, make_field):
+def field():
     """A field of 40 points on a circle; the tangent does not matter to V."""
-    cloud = circle_of_points(RADIUS)
-    points = cloud.normalize(cloud.points)
-    return replace(
-        make_field("exact"), cloud=cloud, score_model=GaussianMixture(points, 0.4), seed=7
-    )
+    return replace(exact_field(circle(RADIUS, 40), sigma=0.4), seed=7)
 
 
 def summary_of(field, **changes):

@@ -95,7 +95,8 @@ def module(tmp_path, monkeypatch):
         **{"measure": module.measure, "module": module},
         trials=lambda *numbers: [module.Trial(number, str(log)) for number in numbers],
         measured=lambda: [number for number, _ in lines()],
-        processes=lambda: {process for _, process in lines()},
+        # Of the trials that take longer than any test: each keeps a process to itself.
+        processes=lambda: {process for number, process in lines() if number >= 1000},
     )
     for name in names.values():
         sys.modules.pop(name, None)
@@ -319,13 +320,12 @@ def test_a_killed_run_loses_nothing_that_ended(module, tmp_path, monkeypatch, ca
         wait_until(lambda: module.measured())
         records = run(module, *range(60, 0, -1))
         assert [record.row["root"] for record in records] == [n**0.5 for n in range(60, 0, -1)]
-        wait_until(lambda: set(range(1000, 1000 + jobs)) <= set(module.measured()))
-        assert len(module.processes() - {os.getpid()}) == jobs
+        wait_until(lambda: len(module.processes()) == jobs)
     finally:
         process.send_signal(signal.SIGKILL)
         process.wait()
     # The processes of the killed one end with it, in the middle of their trials.
-    for worker in module.processes() - {os.getpid()}:
+    for worker in module.processes():
         wait_until(lambda worker=worker: not alive(worker))
     before = len(module.measured())
     hidden = [path for path in module.store.iterdir() if path.name.startswith(".")]
@@ -342,10 +342,15 @@ def test_a_killed_run_loses_nothing_that_ended(module, tmp_path, monkeypatch, ca
 
 
 def alive(process):
+    """Whether a process has a thread that is not over: that keeps its files, and locks, open.
+
+    A zombie is over and waits for whoever has inherited it; but the first thread may be one
+    while others have yet to end.
+    """
     try:
-        os.kill(process, 0)
-    except ProcessLookupError:
+        threads = os.listdir(f"/proc/{process}/task")
+        with open(f"/proc/{process}/stat") as stat:
+            state = stat.read().rpartition(")")[2].split()[0]
+    except (FileNotFoundError, ProcessLookupError):
         return False
-    with open(f"/proc/{process}/stat") as stat:
-        # A zombie has ended, and waits for whoever has inherited it.
-        return stat.read().rpartition(")")[2].split()[0] != "Z"
+    return len(threads) > 1 or state != "Z"

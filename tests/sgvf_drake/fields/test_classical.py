@@ -14,14 +14,14 @@ from sgvf_drake.fields import (
     PursuitField,
 )
 from sgvf_drake.paths import make_shape
+from tests import helpers
 
 # Corners of a square of half-extent 4, so that U is 1, and points between them.
 SQUARE = np.array([[4, -4], [4, 0], [4, 4], [0, 4], [-4, 4], [-4, 0], [-4, -4], [0, -4]], float)
 
 
 def on_circle(n, radius=1.0):
-    angle = 2 * np.pi * np.arange(n) / n
-    return radius * np.column_stack([np.cos(angle), np.sin(angle)])
+    return helpers.circle(radius, n)
 
 
 @pytest.fixture(scope="module")

@@ -7,6 +7,7 @@ from scipy.optimize import minimize_scalar
 
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import FourierCurve, LagrangeCurve
+from tests.helpers import circle
 
 KINDS = (FourierCurve, LagrangeCurve)
 EACH = pytest.mark.parametrize(
@@ -21,8 +22,7 @@ def bent_line(num_points=12):
 
 
 def round_waypoints(num_points=12):
-    angle = 2 * np.pi * np.arange(num_points) / num_points
-    return np.column_stack([np.cos(angle), np.sin(angle)])
+    return circle(1.0, num_points)
 
 
 @EACH

@@ -159,10 +159,3 @@ def test_features_see_positions_of_order_one_and_time_from_minus_one_to_one():
     angles = draw @ [*(x / POSITION_SCALE), 2 * t - 1]
     expected = [*np.sin(angles), *np.cos(angles)]
     np.testing.assert_allclose(features(np.array([[*x, t]]))[0], expected, atol=1e-5)
-
-
-def test_no_points_to_evaluate(network):
-    perceptron = network.to_perceptron()
-    value, jacobian = perceptron.value_and_jacobian(np.empty((0, perceptron.num_inputs)))
-    assert value.shape == (0, len(perceptron.biases[-1]))
-    assert jacobian.shape == (0, len(perceptron.biases[-1]), perceptron.num_inputs)

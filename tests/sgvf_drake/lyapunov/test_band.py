@@ -18,6 +18,7 @@ from sgvf_drake.lyapunov import (
 )
 from sgvf_drake.lyapunov.band import LEVEL_MARGIN, MIN_DECREASE, critical_levels
 from sgvf_drake.paths import Piece, ReferencePath
+from tests.helpers import circle
 
 GAIN, SIGMA = 0.2, 0.1
 GRID = 121
@@ -87,8 +88,7 @@ def test_the_search_takes_the_thin_tube_among_large_bands(found, samples):
 
 
 def test_a_tube_far_from_the_path_is_none(ring, samples):
-    angle = 2 * np.pi * np.arange(60) / 60
-    far = 0.2 * np.column_stack([np.cos(angle), np.sin(angle)]) + [40.0, 0.0]
+    far = circle(0.2, 60, center=(40.0, 0.0))
     assert band_of(ring[0], ReferencePath((Piece(far, closed=True),)), samples) is None
 
 

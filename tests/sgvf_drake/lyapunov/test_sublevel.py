@@ -6,13 +6,13 @@ import pytest
 from sgvf_drake.fields import GaussianMixture
 from sgvf_drake.lyapunov import LyapunovFunction, sublevel_set
 from sgvf_drake.paths import Piece, ReferencePath
+from tests import helpers
 
 BOX = (np.array([-5.0, -5.0]), np.array([5.0, 5.0]))
 
 
 def circle(radius, x=0.0, y=0.0, count=2_000):
-    angle = 2 * np.pi * np.arange(count) / count
-    return np.column_stack([x + radius * np.cos(angle), y + radius * np.sin(angle)])
+    return helpers.circle(radius, count, (x, y))
 
 
 def rings(*circles, sigma=0.1, spacing=0.04):

@@ -6,7 +6,6 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
-from scipy.optimize import root
 from scipy.spatial import cKDTree
 import sympy
 
@@ -15,6 +14,8 @@ from sgvf_drake.fields import PaperComposition, ScoreField, TangentField
 from sgvf_drake.lyapunov import find_modes, find_zeros
 from sgvf_drake.lyapunov.cells import Cells
 from sgvf_drake.lyapunov.winding import box_corners, winding_number
+
+from .dense import dense_zeros
 
 BOX = (np.array([-5.0, -5.0]), np.array([5.0, 5.0]))
 # Side of the first cells in that box, whose lines are multiples of it.
@@ -259,32 +260,6 @@ def test_the_score_of_equal_waypoints_on_rings(ring_field):
     assert (r < 0.1).sum() == 1
 
 
-# Cells along each axis of the dense search.
-DENSE = 200
-# Singular values of the Jacobian that are this far apart belong to a flat valley.
-FLAT = 1e-4
-
-
-def dense_zeros(field, box):
-    """Roots from every cell of a fine grid in which neither component keeps its sign."""
-    axes = [np.linspace(box[0][k], box[1][k], DENSE + 1) for k in range(2)]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-    values = field(grid.reshape(-1, 2)).reshape(grid.shape)
-    corners = np.stack([values[:-1, :-1], values[1:, :-1], values[1:, 1:], values[:-1, 1:]])
-    crossing = (np.sign(corners).min(axis=0) != np.sign(corners).max(axis=0)).all(axis=-1)
-    half = (box[1] - box[0]) / DENSE / 2
-    roots = []
-    for start in grid[:-1, :-1][crossing] + half:
-        found = root(field, start, jac=lambda x: field.value_and_jacobian(x)[1], tol=1e-12)
-        J = field.value_and_jacobian(found.x)[1]
-        singular = np.linalg.svd(J, compute_uv=False)
-        small = np.linalg.norm(found.fun) < 1e-6 * singular[0] * half.max()
-        inside = ((found.x >= box[0]) & (found.x <= box[1])).all()
-        if small and inside and singular[1] > FLAT * singular[0]:
-            roots.append(found.x)
-    return np.array(roots).reshape(-1, 2)
-
-
 FULL = pytest.mark.full
 
 
@@ -309,7 +284,9 @@ def test_a_dense_search_finds_no_other_zeros(name, part, request):
     search = find_zeros(function, field.cloud.box, scale)
     turns = winding_number(function, box_corners(field.cloud.box), scale)
     assert search.indices.sum() == turns
-    distance, _ = cKDTree(search.points).query(dense_zeros(function, field.cloud.box))
+    # Not those of a flat valley.
+    dense = dense_zeros(function, field.cloud.box, cells=200, flat=1e-4)
+    distance, _ = cKDTree(search.points).query(dense)
     assert distance.max(initial=0) < 1e-6
     # The closed-form score of an open path is resampled, and flat along the path.
     flat = (name, part) == ("open", "score")

@@ -37,18 +37,12 @@ def test_kinds_follow_from_the_eigenvalues(jacobian, kind):
 
 
 @pytest.fixture(scope="module")
-def robust(robust_field):
-    """The singularities of a trained field around two rings."""
-    return find_singularities(robust_field)
-
-
-@pytest.fixture(scope="module")
 def opened(open_field):
     """Those of a trained field along an open path."""
     return find_singularities(open_field)
 
 
-@pytest.mark.parametrize("trained", ["robust", "opened"])
+@pytest.mark.parametrize("trained", ["robust_zeros", "opened"])
 def test_indices_sum_up_to_the_winding_number(trained, request):
     found = request.getfixturevalue(trained)
     assert list(found.by_field) == ["guiding", "score", "tangent"]
@@ -79,10 +73,10 @@ def test_robots_rest_where_an_open_path_ends(open_field, opened):
     assert gap < open_field.mixture.sigma
 
 
-def test_the_zeros_of_a_learned_score_come_in_pairs_but_for_one(robust):
+def test_the_zeros_of_a_learned_score_come_in_pairs_but_for_one(robust_zeros):
     # Two rings: their maxima and saddles cancel, and so do minima and saddles in between;
     # what is left over is the hole of the inner ring.
-    kinds = Counter(zero.kind for zero in robust.score.zeros)
+    kinds = Counter(zero.kind for zero in robust_zeros.score.zeros)
     assert set(kinds) == {"source", "sink", "saddle"}
     assert kinds["source"] + kinds["sink"] == kinds["saddle"] + 1
 
@@ -124,8 +118,8 @@ def test_only_planar_fields_have_them(make_field):
         find_singularities(make_field("exact", dim=3))
 
 
-def test_the_zeros_are_those_of_the_parts(robust_field, robust):
-    field = robust_field
+def test_the_zeros_are_those_of_the_parts(robust_field, robust_zeros):
+    field, robust = robust_field, robust_zeros
     assert np.abs(field(robust.guiding.points)).max() < 1e-9
     assert np.abs(field.score(robust.score.points)).max() < 1e-9
     assert np.abs(field.tangent(robust.tangent.points)).max() < 1e-9

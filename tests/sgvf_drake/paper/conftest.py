@@ -5,16 +5,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from sgvf_drake.fields import (
-    GaussianMixture,
-    GuidingField,
-    PaperComposition,
-    Perceptron,
-    RobustComposition,
-)
 from sgvf_drake.paper.experiment import FOLDER, load_rows, save_rows
+from tests.fields import exact_field
 
-SIGMA, HALF_EXTENT = 0.1, 4.0
+HALF_EXTENT = 4.0
 
 
 @pytest.fixture(scope="session")
@@ -27,16 +21,7 @@ def turning_field():
 
     def make(cloud, angle=0.0, size=1.0, recipe="paper", gain=0.2):
         turn = np.array([[np.sin(angle), -np.cos(angle)], [np.cos(angle), np.sin(angle)]])
-        robust = RobustComposition(gain, SIGMA)
-        return GuidingField(
-            cloud=cloud,
-            sigma=SIGMA,
-            score_model=GaussianMixture(cloud.normalize(cloud.points), SIGMA),
-            tangent_network=Perceptron((size * turn / HALF_EXTENT,), (np.zeros(2),), None),
-            composition=PaperComposition(gain) if recipe == "paper" else robust,
-            recipe=recipe,
-            seed=0,
-        )
+        return exact_field(cloud, size * turn / HALF_EXTENT, gain=gain, composition=recipe)
 
     return make
 

@@ -1,6 +1,6 @@
 """What both ablations share: effects paired by seed; how fields are followed and checked."""
 
-from unittest.mock import Mock
+from unittest.mock import MagicMock, Mock
 
 import numpy as np
 import pandas as pd
@@ -62,7 +62,7 @@ def test_a_ring_is_followable_and_without_a_tangent_it_is_not(
 def test_of_the_violations_only_zeros_that_count_are_counted(monkeypatch):
     kinds = ((True, "zero"), (True, "zero"), (False, "zero"), (True, "slow"))
     violations = [Mock(counts=counts, kind=kind) for counts, kind in kinds]
-    found = Mock(band=None, violations=violations)
+    found = MagicMock(band=None, violations=violations)
     monkeypatch.setattr(ablation, "verify", lambda field, reference, ratios: found)
     row = ablation.checked_row(None, None, (1.0,))
     assert (row["band"], row["zeros"]) == (False, 2)

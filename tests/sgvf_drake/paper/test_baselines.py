@@ -19,6 +19,7 @@ from sgvf_drake.paper.claims import Verdict
 from sgvf_drake.paper.methods import CASES, LEARNED, METHODS, make_case
 from sgvf_drake.paper.ways import Ways, coverage, effort, errors, find_ways
 from sgvf_drake.paths import Piece, ReferencePath, trace_pieces
+from tests.helpers import circle
 
 UNIT = 0.5
 
@@ -119,8 +120,8 @@ def test_sorting_finds_no_side_branch_where_there_is_none(case, count):
 @pytest.mark.parametrize("speed", [1.0, 0.3])
 def test_the_effort_on_a_circle_is_its_curvature(speed):
     angle = speed * 0.05 / 2.0 * np.arange(600)
-    circle = 2.0 * UNIT * np.column_stack([np.cos(angle), np.sin(angle)])
-    run = run_of(circle, circle + 1.0)
+    track = 2.0 * UNIT * np.column_stack([np.cos(angle), np.sin(angle)])
+    run = run_of(track, track + 1.0)
     assert effort(run, everything(run), UNIT) == pytest.approx(1 / 2.0, rel=1e-9)
 
 
@@ -224,9 +225,8 @@ def test_the_way_is_that_from_the_path_to_the_tip(arms):
 @pytest.fixture(scope="module")
 def ring():
     """Waypoints of a circle of radius 4, and the circle."""
-    angle = 2 * np.pi * np.arange(4096) / 4096
-    circle = Piece(4 * np.column_stack([np.cos(angle), np.sin(angle)]), closed=True)
-    return PointCloud(circle.sample(64)), ReferencePath((circle,))
+    piece = Piece(circle(4.0, 4096), closed=True)
+    return PointCloud(piece.sample(64)), ReferencePath((piece,))
 
 
 def test_a_parametric_field_is_followed_in_the_plane(ring):

@@ -15,7 +15,6 @@ from sgvf_drake.paper.claims import (
     Span,
     Verdict,
     every,
-    every_of_all,
     judge,
 )
 from sgvf_drake.paper.experiment import Exhibit, save_rows
@@ -31,7 +30,6 @@ def test_a_verdict_follows_from_its_outcomes():
         ([False], FAILS),
         ([], FAILS),
     ):
-        assert Verdict.of(iter(outcomes)) is verdict
         assert every("laps")({"laps": Count.of(outcomes)}) is verdict
 
 
@@ -44,9 +42,9 @@ def test_a_verdict_follows_from_its_outcomes():
         ([(0, 0), (3, 3)], PARTLY),
     ],
 )
-def test_every_of_all_looks_at_all_counts(counts, verdict):
+def test_every_without_names_looks_at_all_counts(counts, verdict):
     figures = {f"count {k}": Count(*count) for k, count in enumerate(counts)}
-    assert every_of_all(figures | {"another": 0.0}) is verdict
+    assert every()(figures | {"another": 0.0}) is verdict
 
 
 def test_figures_say_themselves_how_they_are_told():

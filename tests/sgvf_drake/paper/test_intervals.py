@@ -54,25 +54,16 @@ def test_the_interval_of_a_share_is_cut_to_what_a_share_can_be():
     assert (mean, low, high) == (interval(values)[0], interval(values)[1], 1.0)
 
 
-def test_values_that_are_missing_are_left_out():
-    values = [1.0, math.nan, 2.0, 4.0, math.nan]
-    assert interval(values) == interval([1.0, 2.0, 4.0])
-
-
-def test_a_single_value_says_nothing_of_the_spread():
-    mean, low, high = interval([math.nan, 0.25])
-    assert mean == 0.25
-    assert math.isnan(low)
-    assert math.isnan(high)
-
-
-@pytest.mark.parametrize("values", [[], [math.nan, math.nan]])
-def test_nothing_has_no_mean(values):
-    assert all(math.isnan(value) for value in interval(values))
-
-
-def test_equal_values_have_no_spread():
-    assert interval([0.5] * 5) == (0.5, 0.5, 0.5)
+def test_what_is_missing_is_left_out_and_a_single_value_says_nothing_of_the_spread():
+    nan = math.nan
+    for values, expected in (
+        ([1.0, nan, 2.0, 4.0, nan], interval([1.0, 2.0, 4.0])),
+        ([nan, 0.25], (0.25, nan, nan)),
+        ([], (nan, nan, nan)),
+        ([nan, nan], (nan, nan, nan)),
+        ([0.5] * 5, (0.5, 0.5, 0.5)),
+    ):
+        np.testing.assert_array_equal(interval(values), expected)
 
 
 def wilson(successes, trials):

@@ -106,6 +106,7 @@ def test_the_scatter_of_seeds_seldom_speaks_for_a_part():
 def test_a_small_run_shares_the_score_where_it_may(tmp_path, monkeypatch, check_stored_rows):
     check = {"holds": True, "reason": "", "slowest": 1.0, "falls": 0.9}
     monkeypatch.setattr(ablation, "checked_row", lambda *_: dict(check))
+    monkeypatch.setattr(ablation, "default_duration", lambda path, unit: 4 * unit)
     variants = [NOISY_TARGET, NO_FEATURES, NO_PROJECTION]
     few = {"starts": 4, "score_iterations": 20, "tangent_iterations": 20}
     kind = RecipeAblation(shapes=["circle"], variants=variants, seeds=[0], **few)

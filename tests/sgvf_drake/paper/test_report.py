@@ -85,26 +85,17 @@ def test_intervals_share_their_decimals(values, text):
     assert interval_text(*values) == text
 
 
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [
+def test_cells_are_text_and_times_are_in_words():
+    for value, text in (
         *((True, "yes"), (np.False_, "no"), ("None", "None"), (np.int64(12_345), "12,345")),
         *((-3, "−3"), (None, "–"), (pd.NA, "–"), (math.nan, "–")),  # noqa: RUF001
-    ],
-)
-def test_cells_are_text(value, text):
-    assert cell_text(value) == text
-
-
-@pytest.mark.parametrize(
-    ("seconds", "text"),
-    [
+    ):
+        assert cell_text(value) == text
+    for seconds, text in (
         *((0.04, "0.0 s"), (9.87, "9.9 s"), (9.97, "10 s"), (59.6, "1 min 0 s")),
         *((725.2, "12 min 5 s"), (3_599.8, "1 h 0 min"), (3_900.0, "1 h 5 min")),
-    ],
-)
-def test_times_are_in_words(seconds, text):
-    assert duration_text(seconds) == text
+    ):
+        assert duration_text(seconds) == text
 
 
 # Tables.

@@ -1,13 +1,13 @@
 """All experiments into one folder: resumed, each on its own, and nothing of others lost."""
 
 import json
-from pathlib import Path
 
 import pytest
 
 from sgvf_drake.exceptions import ConfigurationError, OutputExistsError
 from sgvf_drake.paper import load_scenario, run_reproduce, run_scenario, running
 from sgvf_drake.paper.reproduce import REPORT
+from tests.helpers import content_of, names_in, summary_of
 
 NAMES = ("alpha", "beta", "gamma")
 
@@ -22,18 +22,6 @@ def three(fake_scenarios):
 
 def statuses(summary):
     return {name: entry["status"] for name, entry in summary["scenarios"].items()}
-
-
-def summary_of(folder):
-    return json.loads((Path(folder) / "summary.json").read_text())
-
-
-def names_in(folder):
-    return {path.name for path in folder.iterdir()}
-
-
-def content_of(folder):
-    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def test_everything_is_run_into_one_folder(three, tmp_path):

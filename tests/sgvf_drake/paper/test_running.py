@@ -10,6 +10,7 @@ import pytest
 from sgvf_drake.exceptions import ConfigurationError, ExperimentError, OutputExistsError
 from sgvf_drake.paper import load_scenario, run_scenario, running
 from sgvf_drake.paper.running import is_result_of, stored_summary
+from tests.helpers import content_of, names_in
 
 FILES = {
     *("summary.json", "scenario.yaml", "squares.png", "squares_table.csv", "log.parquet"),
@@ -30,14 +31,6 @@ def load(fake_scenarios):
         return load_scenario(fake_scenarios.write(name, **options))
 
     return load
-
-
-def names_in(folder):
-    return {path.name for path in folder.iterdir()}
-
-
-def content_of(folder):
-    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def test_a_run_leaves_exhibits_logs_scenario_and_summary(load, tmp_path):
