@@ -204,7 +204,9 @@ def _led_to(path: FloatArray, graph: Graph, arm: Arm, reach: float) -> FloatArra
         return path
     length = arc_lengths(path)[-1]
     if len(graph.arms(node)) == 1:
-        back = path[0] - path[max(1, int(np.searchsorted(arc_lengths(path), reach)) - 1)]
+        # The direction of its last sigma.
+        second = int(np.searchsorted(arc_lengths(path), reach / CONTRACTION))
+        back = path[0] - path[min(max(second, 1), len(path) - 1)]
         return np.concatenate([[path[0] + reach * back / np.linalg.norm(back)], path])
     place = graph.places[node]
     far = np.linalg.norm(path - place, axis=1) > min(reach, length / 3)
@@ -226,6 +228,9 @@ def _fit(
     period = rough.length if rough.closed else None
     spacing = rough.length / float(own.weights.sum())
     scatter = local_scatter(own.arc, own.points, period)
+    if period is None:
+        own = _without_overhang(own, scatter, spacing, pinned)
+        scatter = local_scatter(own.arc, own.points, period)
     u, x, w = _averaged(own, rough.length / MOST_FITTED)
     for s in pinned:
         at = int(s > 0) * len(u)
@@ -253,6 +258,24 @@ def _fit(
         own.index,
         np.interp(own.arc, known, lengths),
     )
+
+
+def _without_overhang(
+    own: Ordered, scatter: FloatArray, spacing: float, pinned: list[float]
+) -> Ordered:
+    """Leaves out the waypoints beyond the mean end of several passes.
+
+    Where passes end at places with a standard deviation s along the path, of all waypoints
+    s / sqrt(2 pi) over their spacing lie beyond the mean.  s is about that across the path.
+    """
+    beyond = [int(s / np.sqrt(2 * np.pi) / spacing) for s in (scatter[0], scatter[-1])]
+    # At a node there is no end.
+    first = 0 if 0.0 in pinned else beyond[0]
+    last = len(own.arc) - (0 if any(s > 0 for s in pinned) else beyond[1])
+    if last - first < RUN:
+        return own
+    kept = slice(first, last)
+    return Ordered(own.index[kept], own.arc[kept], own.points[kept], own.weights[kept])
 
 
 def _spread(line: Piece, own: Ordered) -> float:

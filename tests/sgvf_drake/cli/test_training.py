@@ -113,7 +113,7 @@ def quick(run, inputs, tmp_path, monkeypatch):
 
 
 def test_the_options_of_an_open_path(quick, capsys):
-    for file, options, end in (
+    for file, chosen, end in (
         ("arc.csv", (), 2.0),
         ("arc.csv", ("--direction", "reverse"), -2.0),
         ("arc.csv", ("--start", "2.5, -1"), -2.0),
@@ -121,7 +121,7 @@ def test_the_options_of_an_open_path(quick, capsys):
         # A choice comes before the recorded velocities.
         ("moving.csv", ("--start", "-2,0"), 2.0),
     ):
-        summary, field = quick(file, "--open", *options)
+        summary, field = quick(file, "--open", *chosen)
         assert [piece["closed"] for piece in summary["pieces"]] == [False]
         assert summary["pieces"][0]["length"] == pytest.approx(2 * np.pi, rel=0.02)
         np.testing.assert_allclose(field.ends, [[end, 0.0]], atol=0.05)
