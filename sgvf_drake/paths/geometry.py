@@ -31,6 +31,9 @@ on a bend still lie on one."""
 CLEAN = 0.1
 """Waypoints whose scatter is less than this share of their spacing are on the path."""
 
+BUNDLE = 3.0
+"""Waypoints that scatter by this many spacings are of several passes, with an end each."""
+
 BANDWIDTH = 1.5
 """Standard deviation of the kernel of a fit, in spacings or scatters, whichever is larger."""
 
@@ -228,8 +231,8 @@ def _fit(
     period = rough.length if rough.closed else None
     spacing = rough.length / float(own.weights.sum())
     scatter = local_scatter(own.arc, own.points, period)
-    if period is None:
-        own = _without_overhang(own, scatter, spacing, pinned)
+    if period is None and float(np.median(scatter)) > BUNDLE * spacing:
+        own = _without_overhang(own, pinned, step=2 * sigma)
         scatter = local_scatter(own.arc, own.points, period)
     u, x, w = _averaged(own, rough.length / MOST_FITTED)
     for s in pinned:
@@ -260,21 +263,18 @@ def _fit(
     )
 
 
-def _without_overhang(
-    own: Ordered, scatter: FloatArray, spacing: float, pinned: list[float]
-) -> Ordered:
-    """Leaves out the waypoints beyond the mean end of several passes.
+def _without_overhang(own: Ordered, pinned: list[float], step: float) -> Ordered:
+    """Leaves out the waypoints beyond the ends of half of several passes.
 
-    Where passes end at places with a standard deviation s along the path, of all waypoints
-    s / sqrt(2 pi) over their spacing lie beyond the mean.  s is about that across the path.
+    Along steps of the arc, those beyond have less than half of the median density.
     """
-    beyond = [int(s / np.sqrt(2 * np.pi) / spacing) for s in (scatter[0], scatter[-1])]
+    edges = np.arange(own.arc[0], own.arc[-1] + step, step)
+    density = np.histogram(own.arc, edges, weights=own.weights)[0]
+    full = np.flatnonzero(density >= np.median(density) / 2)
     # At a node there is no end.
-    first = 0 if 0.0 in pinned else beyond[0]
-    last = len(own.arc) - (0 if any(s > 0 for s in pinned) else beyond[1])
-    if last - first < RUN:
-        return own
-    kept = slice(first, last)
+    first = own.arc[0] if 0.0 in pinned else edges[full[0]]
+    last = own.arc[-1] if any(s > 0 for s in pinned) else edges[full[-1] + 1]
+    kept = (own.arc >= first) & (own.arc <= last)
     return Ordered(own.index[kept], own.arc[kept], own.points[kept], own.weights[kept])
 
 
