@@ -23,7 +23,14 @@ from sgvf_drake.exceptions import (
     SgvfError,
 )
 from sgvf_drake.fields import Field, GaussianMixture, GuidingField, load_field
-from sgvf_drake.paths import SHAPES, ReferencePath, make_shape, shape_path
+from sgvf_drake.paths import (
+    SHAPES,
+    PathNetwork,
+    ReferencePath,
+    find_paths,
+    make_shape,
+    shape_path,
+)
 
 if TYPE_CHECKING:
     from sgvf_drake.certificate import Certificate, certify, enclose_zeros
@@ -50,6 +57,7 @@ __all__ = [
     "LyapunovFunction",
     "NonFiniteValueError",
     "OutputExistsError",
+    "PathNetwork",
     "PointCloud",
     "PointCloudError",
     "ReferencePath",
@@ -59,6 +67,7 @@ __all__ = [
     "TrainingResult",
     "certify",
     "enclose_zeros",
+    "find_paths",
     "find_singularities",
     "load_field",
     "make_shape",

@@ -11,11 +11,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial import QhullError, cKDTree
 
 from sgvf_drake.arrays import FloatArray
 from sgvf_drake.clouds import PointCloud
-from sgvf_drake.exceptions import PointCloudError
+from sgvf_drake.exceptions import ConfigurationError, PointCloudError
 from sgvf_drake.paths.assembly import Graph, Signature, assemble
 from sgvf_drake.paths.draft import Direction, Draft
 from sgvf_drake.paths.loops import Holes, find_holes
@@ -75,7 +76,7 @@ def find_paths(
     closed: bool | None = None,
     passes: bool = False,
     direction: Direction | Sequence[Direction | None] | None = None,
-    start: FloatArray | None = None,
+    start: ArrayLike | None = None,
 ) -> PathNetwork:
     """Finds the network of paths in a cloud, in the plane or in space.
 
@@ -97,6 +98,11 @@ def find_paths(
         PointCloudError: If no path is found.
         ConfigurationError: If the direction or the start does not fit what was found.
     """
+    start = None if start is None else np.asarray(start, dtype=np.float64)
+    if start is not None and len(start) != cloud.dim:
+        raise ConfigurationError(
+            f"start has {len(start)} coordinates, the waypoints have {cloud.dim}"
+        )
     # The topology does not depend on the order of the points, not even in its last digit.
     points = cloud.normalize(cloud.points)
     points = points[np.lexsort(points.T[::-1])]

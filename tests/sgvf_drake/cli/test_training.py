@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from sgvf_drake import PointCloud, load_field
-from sgvf_drake.cli import options
+from sgvf_drake.cli.options import DIRECTIONS as OFFERED
 from sgvf_drake.experiments.figures import runs as figures
 from sgvf_drake.learning.direction import DIRECTIONS
 from sgvf_drake.paths import make_shape
@@ -113,7 +113,7 @@ def quick(run, inputs, tmp_path, monkeypatch):
 
 
 def test_the_options_of_an_open_path(quick, capsys):
-    for file, chosen, end in (
+    for file, options, end in (
         ("arc.csv", (), 2.0),
         ("arc.csv", ("--direction", "reverse"), -2.0),
         ("arc.csv", ("--start", "2.5, -1"), -2.0),
@@ -121,7 +121,7 @@ def test_the_options_of_an_open_path(quick, capsys):
         # A choice comes before the recorded velocities.
         ("moving.csv", ("--start", "-2,0"), 2.0),
     ):
-        summary, field = quick(file, "--open", *chosen)
+        summary, field = quick(file, "--open", *options)
         assert [piece["closed"] for piece in summary["pieces"]] == [False]
         assert summary["pieces"][0]["length"] == pytest.approx(2 * np.pi, rel=0.02)
         np.testing.assert_allclose(field.ends, [[end, 0.0]], atol=0.05)
@@ -176,7 +176,7 @@ def test_each_piece_has_its_direction(quick):
     assert turning(field, 1.0).mean() < -0.8
     summary, _ = quick(*named[:3], "--direction", "reverse, ccw")
     assert summary["direction"] == ["reverse", "ccw"]
-    assert set(options.DIRECTIONS) == set(DIRECTIONS)
+    assert set(OFFERED) == set(DIRECTIONS)
 
 
 def test_shapes_are_listed_and_sampled_as_asked(run, inputs, quick, tmp_path, capsys):
