@@ -25,7 +25,7 @@ export MPLBACKEND ?= Agg
 # Material for MkDocs advertises its successor at every build.
 export NO_MKDOCS_2_WARNING := 1
 
-.PHONY: demo test test-full test-data browser check docs format bench bench-learning clean
+.PHONY: demo test test-full test-data browser check docs format bench bench-learning bench-paths clean
 
 demo: $(VENV)/.run-time
 	$(BIN)/sgvf demo --out demo --overwrite
@@ -66,6 +66,9 @@ bench: $(VENV)/.development
 
 bench-learning: $(VENV)/.development
 	$(BIN)/python -m sgvf_drake.experiments.quality --out build/bench-learning --suite full
+
+bench-paths: $(VENV)/.development
+	$(BIN)/python -m tests.benchmarks.paths
 
 clean:
 	rm -rf .venv* demo build site dist *.egg-info .pytest_cache .mypy_cache .ruff_cache

@@ -13,6 +13,7 @@ Loading and evaluating a field needs NumPy alone; torch is imported by the first
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import (
     ConfigurationError,
     FieldFileError,
@@ -22,7 +23,14 @@ from sgvf_drake.exceptions import (
     SgvfError,
 )
 from sgvf_drake.fields import Field, GaussianMixture, GuidingField, load_field
-from sgvf_drake.paths import SHAPES, PointCloud, ReferencePath, make_shape, shape_path
+from sgvf_drake.paths import (
+    SHAPES,
+    PathNetwork,
+    ReferencePath,
+    find_paths,
+    make_shape,
+    shape_path,
+)
 
 if TYPE_CHECKING:
     from sgvf_drake.certificate import Certificate, certify, enclose_zeros
@@ -49,6 +57,7 @@ __all__ = [
     "LyapunovFunction",
     "NonFiniteValueError",
     "OutputExistsError",
+    "PathNetwork",
     "PointCloud",
     "PointCloudError",
     "ReferencePath",
@@ -58,6 +67,7 @@ __all__ = [
     "TrainingResult",
     "certify",
     "enclose_zeros",
+    "find_paths",
     "find_singularities",
     "load_field",
     "make_shape",

@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sgvf_drake.arrays import FloatArray
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields.base import Field
-from sgvf_drake.paths import PointCloud, TreeReference, trace_pieces
+from sgvf_drake.paths import TreeReference, trace_pieces
 from systems.guidance import FieldForSpeed
 
 MAX_DEPARTURES = 20

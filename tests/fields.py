@@ -4,6 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.fields import (
     FourierFeatures,
     GaussianMixture,
@@ -13,7 +14,6 @@ from sgvf_drake.fields import (
     RobustComposition,
     ScoreNetwork,
 )
-from sgvf_drake.paths import PointCloud
 
 # A quarter turn, counter-clockwise.
 TURN = np.array([[0.0, -1.0], [1.0, 0.0]])

@@ -27,6 +27,7 @@ DOCS = ROOT / "docs"
 # The page of each package; what `sgvf_drake` itself exports stands on those of its parts.
 PAGES = {
     "systems": "api/systems.html",
+    "sgvf_drake.clouds": "api/clouds.html",
     "sgvf_drake.paths": "api/paths.html",
     "sgvf_drake.fields": "api/fields.html",
     "sgvf_drake.learning": "api/learning.html",

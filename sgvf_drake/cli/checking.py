@@ -16,7 +16,7 @@ from sgvf_drake.cli.options import (
     ReferenceFile,
     columns_of,
 )
-from sgvf_drake.cli.tables import print_folder, print_table
+from sgvf_drake.cli.tables import print_folder, print_messages, print_table
 from sgvf_drake.exceptions import ConfigurationError
 
 
@@ -45,6 +45,7 @@ def verify(
         raise ConfigurationError(f"the number of starts must be at least 1, not {starts}")
     loaded = open_field(field)
     path, kind = choose_path(loaded, reference, columns_of(columns, reference, "--reference"))
+    print_messages(path.messages)
     with progress() as report:
         summary = run_verify(
             loaded.rescaled(scale),
@@ -139,6 +140,7 @@ def certify(
     if speed is not None:
         loaded = as_flown(loaded, speed, scale)
     path = choose_path(loaded, reference, columns_of(columns, reference, "--reference"))
+    print_messages(path[0].messages)
     certificate = None if claimed is None else Certificate.load(claimed)
     with progress() as report:
         summary = run_certify(
@@ -201,6 +203,7 @@ def singularities(
 
     loaded = open_field(field)
     chosen = choose_reference(loaded, reference, columns_of(columns, reference, "--reference"))
+    print_messages(chosen[0].messages)
     summary = run_singularities(loaded, chosen, out, prove=prove, overwrite=overwrite)
     _print_singularities(summary)
     print_folder(out)

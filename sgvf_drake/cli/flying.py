@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from sgvf_drake.cli.application import app, console, progress
+from sgvf_drake.cli.application import app, console, errors, progress
 from sgvf_drake.cli.options import (
     FieldPath,
     Out,
@@ -19,10 +19,14 @@ from sgvf_drake.cli.tables import (
     print_flight,
     print_folder,
     print_following,
+    print_messages,
     print_tour,
     print_training,
 )
 from sgvf_drake.exceptions import ConfigurationError
+
+# Relative resolution of the numbers in a browser's scene, and what a quadrotor needs, in m.
+SINGLE_PRECISION, SHARP = 2.0**-23, 0.01
 
 
 @app.command()
@@ -42,6 +46,7 @@ def follow(
 
     loaded = open_field(field)
     chosen = choose_reference(loaded, reference, columns_of(columns, reference, "--reference"))
+    print_messages(chosen[0].messages)
     options: dict[str, Any] = {"starts": starts, "duration": duration, "overwrite": overwrite}
     with progress() as report:
         summary = run_follow(loaded, chosen, out, **options, progress=report)
@@ -120,6 +125,8 @@ def fly(
     path, kind = choose_reference(
         loaded, reference, columns_of(columns, reference, "--reference")
     )
+    print_messages(path.messages)
+    _warn_of_ground(loaded, scale)
     options: dict[str, Any] = {"overwrite": overwrite}
     if certificate is not None:
         options["certified"] = CertifiedField.open(loaded, certificate, speed, scale)
@@ -145,6 +152,15 @@ def _pieces_of(tour: str) -> list[int]:
         raise ConfigurationError(f"--tour {tour} is no list of pieces, as 1,2,1 is") from None
 
 
+def _warn_of_ground(loaded: Any, scale: float) -> None:
+    """Warns of waypoints in space that are not above the ground."""
+    if loaded.dim == 3:
+        lowest = scale * float(loaded.cloud.points[:, 2].min())
+        if lowest <= 0:
+            message = f"warning: the path goes down to z = {lowest:.4g} m; the ground is at 0"
+            errors.print(message, style="bold red")
+
+
 def _view(
     loaded: Any, scale: float, speed: float, html: bool, meshcat: bool, results: Path | None
 ) -> Any:
@@ -152,6 +168,13 @@ def _view(
     from sgvf_drake.experiments import View, tube_curves
     from systems import MakeMeshcat
 
+    largest = scale * max(float(abs(bound).max()) for bound in loaded.cloud.box)
+    if largest * SINGLE_PRECISION > SHARP:
+        message = (
+            f"warning: browsers resolve {largest * SINGLE_PRECISION:.2g} m at coordinates of "
+            f"{largest:.2g} m; subtract an offset from the waypoints to see more"
+        )
+        errors.print(message, style="bold red", soft_wrap=True)
     curves = () if results is None else tube_curves(loaded, results, scale, speed)
     viewer = MakeMeshcat() if meshcat else None
     if viewer is not None:

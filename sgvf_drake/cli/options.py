@@ -1,5 +1,6 @@
 """Options that several commands share, and how their values are read."""
 
+import math
 from pathlib import Path
 from typing import Annotated
 
@@ -33,3 +34,41 @@ def columns_of(columns: str | None, file: Path | None, option: str) -> list[str 
     if file is None:
         raise ConfigurationError(f"--columns {columns} chooses columns of {option}; give both")
     return [name.strip() for name in columns.split(",")]
+
+
+# Here and not from `paths`, which imports numba.
+DIRECTIONS = ("ccw", "cw", "reverse")
+# Entries of --direction that leave a piece to the rule.
+RULE_ENTRIES = ("", "-")
+
+
+def directions_of(text: str | None) -> str | tuple[str | None, ...] | None:
+    """Reads --direction: one direction for all pieces, or one for each."""
+    if text is None:
+        return None
+    entries = tuple(_direction(entry.strip()) for entry in text.split(","))
+    return entries[0] if len(entries) == 1 else entries
+
+
+def _direction(entry: str) -> str | None:
+    if entry in RULE_ENTRIES:
+        return None
+    if entry not in DIRECTIONS:
+        names = ", ".join(DIRECTIONS)
+        raise ConfigurationError(
+            f"--direction cannot be {entry!r}; choose {names}, or - for the rule"
+        )
+    return entry
+
+
+def point_of(text: str | None) -> tuple[float, ...] | None:
+    """Reads --start, a point X,Y or X,Y,Z."""
+    if text is None:
+        return None
+    try:
+        point = tuple(float(coordinate) for coordinate in text.split(","))
+    except ValueError:
+        point = ()
+    if len(point) < 2 or not all(map(math.isfinite, point)):
+        raise ConfigurationError(f"--start must be a point X,Y, not {text!r}")
+    return point

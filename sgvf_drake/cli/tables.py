@@ -12,6 +12,12 @@ from rich.text import Text
 from sgvf_drake.cli.application import console, errors
 
 
+def print_messages(messages: Iterable[str]) -> None:
+    """Prints what was read from a file."""
+    for message in messages:
+        console.print(message, markup=False, highlight=False, soft_wrap=True)
+
+
 def print_training(summary: Mapping[str, Any]) -> None:
     """Prints the summary of a training."""
     rows = {

@@ -1,33 +1,28 @@
 """The commands that make a field: train, from a file or one of the shapes, and import."""
 
 from collections.abc import Mapping
-import math
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
 
 from sgvf_drake.cli.application import app, console, progress
-from sgvf_drake.cli.options import Columns, Out, Overwrite, columns_of
-from sgvf_drake.cli.tables import print_folder, print_import, print_training
+from sgvf_drake.cli.options import Columns, Out, Overwrite, columns_of, directions_of, point_of
+from sgvf_drake.cli.tables import print_folder, print_import, print_messages, print_training
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import PAPER_GAIN
-
-# Entries of --direction that leave a piece to the rule.
-RULE_ENTRIES = ("", "-")
-
 
 # Here and not from `learning`, which imports torch.
 Recipe = Literal["paper", "robust", "exact"]
 Sampling = Literal["uniform", "random"]
-DIRECTIONS = ("ccw", "cw", "reverse")
 
 
 @app.command()
 def train(
     out: Out,
     points: Annotated[
-        Path | None, typer.Option(help="Waypoints in any order: CSV, text or .npy.")
+        Path | None,
+        typer.Option(help="Waypoints in any order: CSV, text, .npy, GPX or a mission."),
     ] = None,
     shape: Annotated[
         str | None, typer.Option(help="A named shape in place of a file; see `sgvf shapes`.")
@@ -82,7 +77,8 @@ def train(
     overwrite: Overwrite = False,
 ) -> None:
     """Train a guiding field from waypoints."""
-    from sgvf_drake.paths import PointCloud, make_shape
+    from sgvf_drake.clouds import PointCloud
+    from sgvf_drake.paths import make_shape
 
     if (points is None) == (shape is None):
         raise ConfigurationError("give either --points FILE or --shape NAME")
@@ -100,8 +96,8 @@ def train(
     }
     of_path: dict[str, Any] = {
         "open": is_open,
-        "direction": _directions(direction),
-        "start": _point(start),
+        "direction": directions_of(direction),
+        "start": point_of(start),
     }
     _check_recipe(recipe, of_path, score_iterations)
     chosen = columns_of(columns, points, "--points")
@@ -118,6 +114,7 @@ def train(
     from sgvf_drake.learning import TrainingConfig
 
     config = TrainingConfig(recipe=recipe, seed=seed, **of_path, **overrides)
+    print_messages(cloud.messages)
     with progress() as report:
         summary = run_train(cloud, config, out, overwrite=overwrite, progress=report)
     print_training(summary)
@@ -144,8 +141,7 @@ def import_(
     points: Annotated[
         Path | None,
         typer.Option(
-            help="Waypoints of the training: CSV, text or .npy  \\[default: as the score "
-            "shows them].",
+            help="Waypoints of the training, in a file  \\[default: as the score shows them].",
         ),
     ] = None,
     columns: Columns = None,
@@ -172,40 +168,9 @@ def import_(
         normalise=normalise,
         overwrite=overwrite,
     )
+    print_messages(summary["messages"])
     print_import(summary)
     print_folder(out)
-
-
-def _directions(text: str | None) -> str | tuple[str | None, ...] | None:
-    """Reads --direction: one direction for all pieces, or one for each."""
-    if text is None:
-        return None
-    entries = tuple(_direction(entry.strip()) for entry in text.split(","))
-    return entries[0] if len(entries) == 1 else entries
-
-
-def _direction(entry: str) -> str | None:
-    if entry in RULE_ENTRIES:
-        return None
-    if entry not in DIRECTIONS:
-        names = ", ".join(DIRECTIONS)
-        raise ConfigurationError(
-            f"--direction cannot be {entry!r}; choose {names}, or - for the rule"
-        )
-    return entry
-
-
-def _point(text: str | None) -> tuple[float, ...] | None:
-    """Reads --start, a point X,Y or X,Y,Z."""
-    if text is None:
-        return None
-    try:
-        point = tuple(float(coordinate) for coordinate in text.split(","))
-    except ValueError:
-        point = ()
-    if len(point) < 2 or not all(map(math.isfinite, point)):
-        raise ConfigurationError(f"--start must be a point X,Y, not {text!r}")
-    return point
 
 
 def _check_recipe(

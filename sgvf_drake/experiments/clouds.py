@@ -16,17 +16,11 @@ from typing import Literal, get_args
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments.reference import scale_reference
 from sgvf_drake.fields import FloatArray
-from sgvf_drake.paths import (
-    SHAPES,
-    Piece,
-    PointCloud,
-    ReferencePath,
-    make_shape,
-    shape_path,
-)
+from sgvf_drake.paths import SHAPES, Piece, ReferencePath, make_shape, shape_path
 
 Spread = Literal["uniform", "random", "uneven", "vertices"]
 # Those that `make_shape` knows; its clouds are those of `sgvf train --shape`.

@@ -5,11 +5,12 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments.simulation import simulate_agents
 from sgvf_drake.fields import Field, FloatArray, ParametricField
 from sgvf_drake.metrics import FollowMetrics, default_duration, follow_metrics, grid_starts
-from sgvf_drake.paths import PointCloud, Reference, ReferencePath
+from sgvf_drake.paths import Reference, ReferencePath
 from sgvf_drake.progress import Progress, no_progress
 
 # The integrator's step in U at a speed of one U a second, at most and in noise levels: the

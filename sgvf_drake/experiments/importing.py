@@ -5,6 +5,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments.figures.runs import field_figure
 from sgvf_drake.experiments.results import SUMMARY, result_folder, save_figure, write_summary
@@ -16,7 +17,6 @@ from sgvf_drake.fields import (
     import_field,
     recover_waypoints,
 )
-from sgvf_drake.paths import PointCloud
 
 FIGURE = "field.png"
 IMPORT_FILES = (SUMMARY, FIELD_FILE, FIGURE)
@@ -76,6 +76,7 @@ def run_import(
             "normalised": normalise,
             "files": files,
             "points": origin,
+            "messages": list(cloud.messages),
             **_architecture("score", networks[0]),
             **_architecture("tangent", networks[1]),
         }

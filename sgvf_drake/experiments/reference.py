@@ -38,10 +38,16 @@ def choose_reference(
 
     Raises:
         PointCloudError: If the file cannot be read.
-        ConfigurationError: If the file has another dimension than the field.
+        ConfigurationError: If the file has another dimension than the field, or is in
+            degrees and the field's waypoints were not.
     """
     if file is not None:
-        path = ReferencePath.read(file, columns, closed)
+        origin = field.cloud.origin
+        path = ReferencePath.read(file, columns, closed, origin)
+        if path.origin != origin and path.origin is not None:
+            raise ConfigurationError(
+                f"{file}: the reference is in degrees, but the field's waypoints were not"
+            )
         if path.dim != field.dim:
             raise ConfigurationError(
                 f"{file}: the reference has {path.dim} coordinates, the field {field.dim}"

@@ -8,6 +8,7 @@ from typing import Any
 
 import pandas as pd
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.experiments.certified import CERTIFICATE_FIGURE, CertifiedField
 from sgvf_drake.experiments.figures import runs as figures
 from sgvf_drake.experiments.figures.certificate import certificate_figure
@@ -26,7 +27,7 @@ from sgvf_drake.experiments.scene import NO_VIEW, View
 from sgvf_drake.experiments.tour import fly_tour
 from sgvf_drake.experiments.velocity_error import flight_margin, margin_summary
 from sgvf_drake.fields import GuidingField, load_field
-from sgvf_drake.paths import PointCloud, Reference, make_shape
+from sgvf_drake.paths import Reference, make_shape
 from sgvf_drake.progress import Progress, no_progress
 from systems import FieldForSpeed
 
@@ -77,6 +78,8 @@ def run_train(
             "unit_length": cloud.unit_length,
             "shape": cloud.shape,
             "digest": cloud.digest,
+            "origin": cloud.origin,
+            "messages": list(cloud.messages),
             **_path_summary(result, config),
             "train_cpu_s": result.cpu_s,
             "train_wall_s": result.wall_s,

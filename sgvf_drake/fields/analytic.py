@@ -4,9 +4,9 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields.base import FloatArray
-from sgvf_drake.paths import PointCloud
 
 # The step of the complex-step derivative: no difference is taken, so nothing cancels and
 # the error is of the order of its square.

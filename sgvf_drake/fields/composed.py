@@ -7,13 +7,13 @@ from typing import Any, Self
 
 import numpy as np
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.fields.analytic import AnalyticField, check_positive
 from sgvf_drake.fields.base import FloatArray
 from sgvf_drake.fields.composition import Composition, RobustComposition
 from sgvf_drake.fields.mixture import GaussianMixture
 from sgvf_drake.fields.perceptron import Perceptron, ScoreNetwork
 from sgvf_drake.fields.rest import Rest
-from sgvf_drake.paths import PointCloud
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from os import PathLike
 from typing import Any
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.fields.analytic import AnalyticField
 from sgvf_drake.fields.base import FloatArray
 from sgvf_drake.fields.compiled import CompiledField
@@ -13,7 +14,6 @@ from sgvf_drake.fields.composition import PAPER_GAIN
 from sgvf_drake.fields.importing import imported, network_of
 from sgvf_drake.fields.perceptron import Perceptron
 from sgvf_drake.fields.storage import read_field, save_field
-from sgvf_drake.paths import PointCloud
 
 
 class GuidingField(ComposedField):

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields.activation import SILU, Activation, find_activation
 from sgvf_drake.fields.analytic import check_positive
@@ -23,7 +24,6 @@ from sgvf_drake.fields.base import FloatArray
 from sgvf_drake.fields.composition import NormalisedComposition, PaperComposition
 from sgvf_drake.fields.mixture import GaussianMixture
 from sgvf_drake.fields.perceptron import Perceptron, ScoreNetwork
-from sgvf_drake.paths import PointCloud
 
 RECIPE = "imported"
 # "net.0.weight", "0.bias", "module.fc1.weight": whose layer, which, and what of it.

@@ -9,10 +9,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from sgvf_drake.arrays import BoolArray, FloatArray
+from sgvf_drake.clouds.point_cloud import BOX_FACTOR, HALF_EXTENT_UNITS
 from sgvf_drake.fields.importing import steepest_fall
 from sgvf_drake.fields.mixture import GaussianMixture
 from sgvf_drake.fields.perceptron import ScoreNetwork
-from sgvf_drake.paths.point_cloud import BOX_FACTOR, HALF_EXTENT_UNITS
 
 # The box of the paper's shapes, +-5, in the unit of its networks.
 BOX_HALF_SIZE = BOX_FACTOR * HALF_EXTENT_UNITS

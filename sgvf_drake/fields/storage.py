@@ -17,6 +17,7 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
+from sgvf_drake.clouds import Origin, PointCloud
 from sgvf_drake.exceptions import FieldFileError, OutputExistsError
 from sgvf_drake.fields.activation import SILU, find_activation
 from sgvf_drake.fields.base import FloatArray
@@ -29,7 +30,6 @@ from sgvf_drake.fields.composition import (
 )
 from sgvf_drake.fields.mixture import GaussianMixture
 from sgvf_drake.fields.perceptron import FourierFeatures, Perceptron, ScoreNetwork
-from sgvf_drake.paths import PointCloud
 
 # The only entry of the metadata, which safetensors writes in random order: with one, equal
 # fields are equal files.
@@ -128,6 +128,8 @@ def read_field(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def _header(field: ComposedField) -> dict[str, Any]:
+    # Only where there is one, so that other files stay as they were.
+    origin = {"origin": field.cloud.origin} if field.cloud.origin else {}
     network = field.score_model if isinstance(field.score_model, ScoreNetwork) else None
     return {
         "version": VERSION,
@@ -144,6 +146,7 @@ def _header(field: ComposedField) -> dict[str, Any]:
         "center": field.cloud.center.tolist(),
         "unit_length": field.cloud.unit_length,
         "provenance": dict(field.provenance),
+        **origin,
     }
 
 
@@ -155,7 +158,8 @@ def _arguments(header: Any, tensors: Tensors) -> dict[str, Any]:
         raise ValueError(f"version {header['version']} of the format; this reads {readable}")
     if header["version"] == 1:
         header = header | OF_VERSION_1
-    cloud = PointCloud(tensors[POINTS_KEY], _checked(header, "shape", str, type(None)))
+    shape = _checked(header, "shape", str, type(None))
+    cloud = PointCloud(tensors[POINTS_KEY], shape, origin=_origin(header))
     if cloud.digest != header["digest"]:
         raise ValueError("the waypoints are not those of the header's digest")
     if (header["center"], header["unit_length"]) != (cloud.center.tolist(), cloud.unit_length):
@@ -183,6 +187,13 @@ def _checked(header: Mapping[str, Any], key: str, *types: type) -> Any:
     if not isinstance(header[key], types):
         raise ValueError(f"{key} cannot be {header[key]!r}")
     return header[key]
+
+
+def _origin(header: Mapping[str, Any]) -> Origin | None:
+    if "origin" not in header:
+        return None
+    latitude, longitude, height = map(float, _checked(header, "origin", list))
+    return latitude, longitude, height
 
 
 def _positive(header: Mapping[str, Any], key: str) -> float:

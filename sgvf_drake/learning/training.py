@@ -11,6 +11,7 @@ import pandas as pd
 from scipy.spatial import cKDTree
 import torch
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import (
     Composition,
@@ -39,7 +40,6 @@ from sgvf_drake.learning.score_stage import (
 from sgvf_drake.learning.self_check import SelfCheck, check_field
 from sgvf_drake.learning.support import Support, find_support
 from sgvf_drake.learning.tangent import paper_tangent_loss, robust_tangent_loss
-from sgvf_drake.paths import PointCloud
 from sgvf_drake.progress import Progress, no_progress
 
 ROBUST_TANGENT_LEARNING_RATE = 5e-3

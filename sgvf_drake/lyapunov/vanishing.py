@@ -20,16 +20,10 @@ from scipy.spatial import cKDTree
 from scipy.stats import mannwhitneyu, spearmanr
 
 from sgvf_drake.arrays import BoolArray, FloatArray, IntArray
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.fields import GuidingField
 from sgvf_drake.lyapunov.zeros import FieldZeros, Singularities
-from sgvf_drake.paths import (
-    Piece,
-    PointCloud,
-    Reference,
-    ReferencePath,
-    TreeReference,
-    trace_pieces,
-)
+from sgvf_drake.paths import Piece, Reference, ReferencePath, TreeReference, trace_pieces
 
 NEAR_PATH = 3.0
 """A place is on the path, or near it, within this many noise levels."""

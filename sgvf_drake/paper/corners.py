@@ -17,6 +17,7 @@ from scipy.stats import spearmanr
 
 from sgvf_drake import plotting
 from sgvf_drake.arrays import FloatArray, plane_grid
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments.follow import follow
 from sgvf_drake.experiments.workbench import Row, Workbench
@@ -38,7 +39,6 @@ from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
 from sgvf_drake.paper.intervals import SHARE, interval, interval_columns, over_seeds
 from sgvf_drake.paper.training import trained
 from sgvf_drake.paper.traps import along_sides, examine, paused, polygon
-from sgvf_drake.paths import PointCloud
 
 POLYGONS = "polygons"
 """The table of the trials."""

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from sgvf_drake import plotting
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.experiments.workbench import Row, Workbench
 from sgvf_drake.fields import (
     FloatArray,
@@ -44,7 +45,7 @@ from sgvf_drake.paper.intervals import SHARE, interval_columns, over_seeds
 from sgvf_drake.paper.methods import CASES, make_case
 from sgvf_drake.paper.training import trained
 from sgvf_drake.paper.ways import coverage
-from sgvf_drake.paths import PointCloud, ReferencePath
+from sgvf_drake.paths import ReferencePath
 
 FIELD = "field.safetensors"
 GIVEN = ("ordered", "shuffled", "branching")

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from sgvf_drake.arrays import IntArray
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.experiments.clouds import true_path
 from sgvf_drake.experiments.follow import PathField
 from sgvf_drake.fields import (
@@ -22,7 +23,7 @@ from sgvf_drake.fields import (
     PursuitField,
 )
 from sgvf_drake.paper.training import trained
-from sgvf_drake.paths import PointCloud, ReferencePath, TracedPiece, trace_pieces
+from sgvf_drake.paths import ReferencePath, TracedPiece, trace_pieces
 
 NUM_POINTS = 200
 # U; the noise of the noisy clouds of the quality suites, whose half-extent is about 4.

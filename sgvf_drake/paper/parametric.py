@@ -10,12 +10,13 @@ from scipy.optimize import minimize
 
 from sgvf_drake import plotting
 from sgvf_drake.arrays import FloatArray, plane_grid
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.experiments.simulation import simulate_agents
 from sgvf_drake.experiments.workbench import Row
 from sgvf_drake.fields import FourierCurve, ParametricField
 from sgvf_drake.metrics import grid_starts
 from sgvf_drake.paper.experiment import FOLDER
-from sgvf_drake.paths import PointCloud, shape_path
+from sgvf_drake.paths import shape_path
 
 STATES = "states.npz"
 # Positions along each axis of the box and parameters along the curve at which |chi| is taken,

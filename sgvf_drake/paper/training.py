@@ -2,8 +2,8 @@
 
 from typing import TYPE_CHECKING, Any
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.fields import ScoreNetwork
-from sgvf_drake.paths import PointCloud
 
 if TYPE_CHECKING:
     from sgvf_drake.learning import TrainingResult

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from sgvf_drake.arrays import BoolArray, FloatArray, IntArray
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.experiments.follow import FollowResult
 from sgvf_drake.experiments.workbench import Row
 from sgvf_drake.metrics import (
@@ -16,7 +17,7 @@ from sgvf_drake.metrics import (
     STALL_WINDOW,
     since_last,
 )
-from sgvf_drake.paths import PointCloud, ReferencePath
+from sgvf_drake.paths import ReferencePath
 
 # U; the bends of a trajectory are measured over chords of this length.  It is twice the
 # way between two samples of a robot at full speed.

@@ -13,9 +13,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from sgvf_drake.arrays import BoolArray, FloatArray, IntArray
+from sgvf_drake.clouds import Origin, PointCloud
 from sgvf_drake.exceptions import PointCloudError
 from sgvf_drake.paths.ends import with_ends
-from sgvf_drake.paths.point_cloud import PointCloud
 from sgvf_drake.paths.spanning_tree import TracedPiece, trace_pieces
 
 CLOSING_TOLERANCE = 1e-9
@@ -206,6 +206,8 @@ class Reference(ABC):
     """A path in pieces, as the metrics see it."""
 
     pieces: tuple[Piece, ...] | tuple[TracedPiece, ...]
+    messages: tuple[str, ...] = ()
+    """What was read, if it comes from a file, a line each."""
 
     @property
     @abstractmethod
@@ -254,12 +256,16 @@ class ReferencePath(Reference):
 
     Attributes:
         pieces: The polylines, all in the same dimension.
+        origin: Where the coordinates are zero, if they were degrees; see `PointCloud.origin`.
+        messages: What was read, if they come from a file, a line each.
 
     Raises:
         PointCloudError: if there is no piece, or their dimensions differ.
     """
 
     pieces: tuple[Piece, ...]
+    origin: Origin | None = None
+    messages: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pieces", tuple(self.pieces))
@@ -273,26 +279,29 @@ class ReferencePath(Reference):
         path: str | Path,
         columns: str | Sequence[str | int] | None = None,
         closed: bool | None = None,
+        origin: Origin | None = None,
     ) -> "ReferencePath":
         """Reads an ordered polyline, one vertex a line, as one piece.
 
         Args:
-            path: the file; see `sgvf_drake.paths.read_points`.
+            path: the file; see `PointCloud.read`.
             columns: the columns to take.
             closed: whether it is closed; by default, if its last point repeats its first,
                 or lies no farther from it than vertices of a long polyline lie apart, as
                 in the center lines of race tracks.
+            origin: for a file in degrees, that of the cloud that it is compared with.
 
         Raises:
             PointCloudError: if the file, a line or a value cannot be used.
         """
-        cloud = PointCloud.read(path, columns)
+        cloud = PointCloud.read(path, columns, origin)
         vertices = cloud.points
         gap = float(np.linalg.norm(vertices[-1] - vertices[0]))
         repeats = gap <= CLOSING_TOLERANCE * cloud.half_extent
         if closed is None:
             closed = repeats or _ends_meet(vertices, gap)
-        return cls((Piece(vertices[:-1] if closed and repeats else vertices, closed),))
+        piece = Piece(vertices[:-1] if closed and repeats else vertices, closed)
+        return cls((piece,), cloud.origin, cloud.messages)
 
     @property
     def dim(self) -> int:

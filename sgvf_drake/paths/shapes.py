@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from sgvf_drake.arrays import FloatArray
+from sgvf_drake.clouds.point_cloud import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.paths.point_cloud import PointCloud
 from sgvf_drake.paths.reference import Piece, ReferencePath
 
 CIRCLE_VERTICES = 4096

@@ -14,7 +14,8 @@ import sys
 
 import numpy as np
 
-from sgvf_drake.paths import PointCloud, make_shape
+from sgvf_drake.clouds import PointCloud
+from sgvf_drake.paths import make_shape
 
 FOLDER = Path(__file__).parent / "fields"
 

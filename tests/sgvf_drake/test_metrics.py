@@ -5,16 +5,10 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
 from sgvf_drake.metrics import default_duration, follow_metrics, grid_starts
-from sgvf_drake.paths import (
-    Piece,
-    PointCloud,
-    ReferencePath,
-    make_shape,
-    shape_path,
-    tree_reference,
-)
+from sgvf_drake.paths import Piece, ReferencePath, make_shape, shape_path, tree_reference
 
 CLOUD, CIRCLE = make_shape("circle")  # radius 3, U = 0.75
 U, BOX = CLOUD.unit_length, CLOUD.box

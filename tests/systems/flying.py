@@ -8,7 +8,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput
 import sympy
 
-from sgvf_drake.paths import PointCloud
+from sgvf_drake.clouds import PointCloud
 from systems import (
     AddGuidance,
     Branch,

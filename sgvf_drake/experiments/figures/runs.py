@@ -8,12 +8,12 @@ import numpy as np
 import pandas as pd
 
 from sgvf_drake import plotting
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.experiments.fly import FlightResult, PieceFlight
 from sgvf_drake.experiments.follow import FollowResult
 from sgvf_drake.experiments.tour import TourResult
 from sgvf_drake.fields import Field, GuidingField
 from sgvf_drake.metrics import FollowMetrics
-from sgvf_drake.paths import PointCloud
 from systems import Mode
 
 # Behind the times of a transfer.

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from scipy.linalg import eigh
 
+from sgvf_drake.clouds import PointCloud
+from sgvf_drake.clouds.point_cloud import HALF_EXTENT_UNITS
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields.base import FloatArray
-from sgvf_drake.paths import PointCloud
-from sgvf_drake.paths.point_cloud import HALF_EXTENT_UNITS
 
 # The lowest degree that comes this near to the waypoints (RMS, U) is taken: a higher one
 # follows noise, and has more parts that belong to no waypoint.

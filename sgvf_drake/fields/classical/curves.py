@@ -9,10 +9,10 @@ from scipy.spatial import cKDTree
 from scipy.special import gammaln
 
 from sgvf_drake.arrays import BoolArray, IntArray
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields.analytic import check_positive
 from sgvf_drake.fields.base import FloatArray
-from sgvf_drake.paths import PointCloud
 
 # Points of a curve between two waypoints, of which the nearest is where a search begins.
 SAMPLES_PER_STEP = 8

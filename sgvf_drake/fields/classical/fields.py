@@ -8,13 +8,13 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from sgvf_drake.arrays import BoolArray, IntArray
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields.analytic import AnalyticField, check_positive
 from sgvf_drake.fields.base import FloatArray
 from sgvf_drake.fields.classical.algebraic import AlgebraicCurve
 from sgvf_drake.fields.classical.curves import Curve
 from sgvf_drake.fields.composition import UNIT_SOFTENING
-from sgvf_drake.paths import PointCloud
 
 # 1/U.  The fields turn to the path over a tenth of a unit, the default noise level of a
 # learned score, so that all of them see the path at the same scale.

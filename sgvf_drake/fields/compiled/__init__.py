@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.fields.base import FloatArray
 from sgvf_drake.fields.compiled.packing import pack_composed, pack_learned
 from sgvf_drake.fields.composed import ComposedField
-from sgvf_drake.paths import PointCloud
 
 
 class CompiledField:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sgvf_drake.certificate import Certificate
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.fields import load_field
-from sgvf_drake.paths import PointCloud
 from tests.data.make import FOLDER, field_file
 from tests.fields import TURN, exact_field, linear_network
 from tests.helpers import circle, names_in, summary_of

@@ -40,7 +40,7 @@ def inputs(tmp_path_factory, trained, flight_field):
     # The cloud has no shape that a reference could be made of.
     nameless = replace(flight_field, cloud=PointCloud(flight_field.cloud.points))
     nameless.save(folder / "nameless.safetensors")
-    (folder / "spatial.csv").write_text("0 0 0\n1 0 0\n1 1 1\n")
+    (folder / "spatial.csv").write_text("x y z\n0 0 0\n1 0 0\n1 1 1\n")
     (folder / "short.csv").write_text("0 0\n0 0.001\n")
     np.savetxt(folder / "ring.txt", circle(2.0, 400))
     return folder

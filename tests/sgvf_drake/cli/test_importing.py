@@ -38,7 +38,7 @@ def inputs(tmp_path_factory, ring_networks, make_sequential):
     points = circle(3.0, 100)
     np.savetxt(folder / "ring.csv", points, delimiter=",", header="x,y", comments="")
     spatial = np.random.default_rng(0).uniform(-1, 1, (30, 3))
-    np.savetxt(folder / "spatial.txt", spatial)
+    np.savetxt(folder / "spatial.txt", spatial, header="x y z")
     (folder / "taken").mkdir()
     (folder / "taken" / "field.safetensors").write_text("mine")
     return folder
@@ -106,6 +106,7 @@ def test_waypoints_are_recovered(command, tmp_path, capsys, ring_networks, large
         "normalised": False,
         "files": {"score": "score.pth", "tangent": "tangent.pth"},
         "points": "score",
+        "messages": [],
         "score_layers": [3, 200, 2],
         "score_activation": "Tanh",
         "tangent_layers": [2, 2],

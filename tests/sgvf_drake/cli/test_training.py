@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from sgvf_drake import PointCloud, load_field
-from sgvf_drake.cli import training
+from sgvf_drake.cli.options import DIRECTIONS as OFFERED
 from sgvf_drake.experiments.figures import runs as figures
 from sgvf_drake.learning.direction import DIRECTIONS
 from sgvf_drake.paths import make_shape
@@ -28,6 +28,7 @@ def inputs(tmp_path_factory):
         "empty.csv": "",
         "header.csv": "x,y\n",
         "nan.csv": "x,y\n0,0\n1,nan\n2,1\n",
+        "unnamed.csv": "0 0 1\n1 0 2\n1 1 3\n",
         "text.csv": "x,y\n0,0\n1,here\n2,1\n",
         "ragged.csv": "x,y\n0,0\n1,1\n2,1,5\n",
         "one.csv": "x,y\n0,0\n",
@@ -175,7 +176,7 @@ def test_each_piece_has_its_direction(quick):
     assert turning(field, 1.0).mean() < -0.8
     summary, _ = quick(*named[:3], "--direction", "reverse, ccw")
     assert summary["direction"] == ["reverse", "ccw"]
-    assert set(training.DIRECTIONS) == set(DIRECTIONS)
+    assert set(OFFERED) == set(DIRECTIONS)
 
 
 def test_shapes_are_listed_and_sampled_as_asked(run, inputs, quick, tmp_path, capsys):
@@ -201,7 +202,8 @@ BAD = [
     ("--points .", "is a folder"),
     ("--points empty.csv", "empty.csv", "it is empty"),
     ("--points header.csv", "header.csv", "only a header"),
-    ("--points nan.csv", "nan.csv, line 3", "'nan' is not finite"),
+    ("--points nan.csv", "nan.csv, line 3", "y is missing"),
+    ("--points unnamed.csv", "cannot tell which of its 3 columns", "--columns 0,1"),
     ("--points text.csv", "text.csv, line 3", "'here'"),
     ("--points ragged.csv", "ragged.csv, line 4", "3 fields"),
     ("--points ring.csv --columns x,q", "ring.csv", "no column 'q'", "'x', 'y'"),

@@ -7,9 +7,10 @@ import pytest
 
 from sgvf_drake.certificate import Certificate, Conditions
 from sgvf_drake.certificate.mixture_model import lowest_of, mixture_of
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.experiments import fly, follow
 from sgvf_drake.fields.storage import field_digest
-from sgvf_drake.paths import Piece, PointCloud, ReferencePath, shape_path
+from sgvf_drake.paths import Piece, ReferencePath, shape_path
 from tests.fields import exact_field
 from tests.helpers import circle
 

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments import (
     FlightSpec,
@@ -17,7 +18,7 @@ from sgvf_drake.experiments import (
     simulate,
 )
 from sgvf_drake.experiments.flight import flown_pieces, hover_start
-from sgvf_drake.paths import Piece, PointCloud, ReferencePath
+from sgvf_drake.paths import Piece, ReferencePath
 from systems import FieldForSpeed, QuadrotorParameters
 
 FORCES = [f"force_{number}" for number in (1, 2, 3, 4)]

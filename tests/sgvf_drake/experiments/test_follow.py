@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
 from sgvf_drake.experiments import choose_reference, follow, scale_reference
-from sgvf_drake.paths import Piece, PointCloud, ReferencePath
+from sgvf_drake.paths import Piece, ReferencePath
 from systems import MakeKinematicDiagram, MakeSimulator, SetPositions
 
 

@@ -11,6 +11,7 @@ import pytest
 from rich.console import Console
 from scipy.spatial import cKDTree
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments import clouds, workbench
 from sgvf_drake.experiments.quality import (
@@ -25,7 +26,7 @@ from sgvf_drake.experiments.quality import (
 from sgvf_drake.experiments.quality.__main__ import main
 from sgvf_drake.experiments.quality.cases import RECIPES
 from sgvf_drake.fields import GaussianMixture
-from sgvf_drake.paths import SHAPES, PointCloud, make_shape, shape_path
+from sgvf_drake.paths import SHAPES, make_shape, shape_path
 
 ALL = [case for suite in Suite for case in suite_cases(suite)]
 CLOUDS = sorted({(case.cloud, case.sampling) for case in ALL})

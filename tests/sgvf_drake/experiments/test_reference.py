@@ -5,9 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError, PointCloudError
 from sgvf_drake.experiments import choose_reference, scale_reference
-from sgvf_drake.paths import PointCloud, ReferencePath, TreeReference
+from sgvf_drake.paths import ReferencePath, TreeReference
 
 
 def arc_field(degrees, has_end=False):
@@ -61,7 +62,7 @@ def test_a_file_comes_first(tmp_path, flight_field):
     assert closed.longest == pytest.approx(2.0 + np.sqrt(2.0))
     swapped, _ = choose_reference(flight_field, file, ["speed", "x_m"])
     assert swapped.pieces[0].vertices[0].tolist() == [1.0, 0.0]
-    file.write_text("0 0 0\n1 0 0\n1 1 1\n")
+    file.write_text("x y z\n0 0 0\n1 0 0\n1 1 1\n")
     with pytest.raises(ConfigurationError, match=r"path.csv: .* 3 coordinates, the field 2"):
         choose_reference(flight_field, file)
     with pytest.raises(PointCloudError, match=r"none.csv"):

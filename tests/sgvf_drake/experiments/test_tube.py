@@ -8,10 +8,10 @@ import pytest
 from scipy.optimize import minimize_scalar
 from scipy.special import i0e
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments import tube, tube_curves
 from sgvf_drake.lyapunov import LyapunovFunction
-from sgvf_drake.paths import PointCloud
 from tests.fields import exact_field
 from tests.helpers import circle
 

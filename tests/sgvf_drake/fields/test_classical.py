@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import (
     AlgebraicCurve,
@@ -12,7 +13,7 @@ from sgvf_drake.fields import (
     ParametricField,
     PursuitField,
 )
-from sgvf_drake.paths import PointCloud, make_shape
+from sgvf_drake.paths import make_shape
 from tests import helpers
 
 # Corners of a square of half-extent 4, so that U is 1, and points between them.

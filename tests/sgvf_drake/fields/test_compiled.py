@@ -13,6 +13,7 @@ from numba.core.registry import CPUDispatcher
 import numpy as np
 import pytest
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.compiling import digest
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import (
@@ -25,7 +26,6 @@ from sgvf_drake.fields import (
 )
 from sgvf_drake.fields.activation import ACTIVATIONS
 from sgvf_drake.fields.compiled.evaluation import SOURCES, evaluate
-from sgvf_drake.paths import PointCloud
 
 RECIPES = ("robust", "exact", "paper")
 COMPOSITIONS = {

@@ -6,6 +6,7 @@ from itertools import product
 import numpy as np
 import pytest
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import (
     AdjustableField,
@@ -27,7 +28,6 @@ from sgvf_drake.fields import (
 )
 from sgvf_drake.fields.activation import ACTIVATIONS
 from sgvf_drake.fields.base import CompilableField
-from sgvf_drake.paths import PointCloud
 
 RECIPES = ("robust", "exact", "paper")
 COMPOSITIONS = {

@@ -7,10 +7,11 @@ import re
 import numpy as np
 import pytest
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.learning import SelfCheck, check_field
 from sgvf_drake.learning.self_check import STARTS, STARTS_AROUND, Fault, PieceCheck
 from sgvf_drake.learning.support import find_support
-from sgvf_drake.paths import PointCloud, make_shape
+from sgvf_drake.paths import make_shape
 
 ALL = STARTS + STARTS_AROUND
 

@@ -9,9 +9,10 @@ import pytest
 from scipy.spatial import cKDTree
 from scipy.stats import ortho_group
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.learning.main_line import untangled
 from sgvf_drake.learning.support import MAX_POINTS, find_support
-from sgvf_drake.paths import SHAPES, PointCloud, make_shape, shape_path
+from sgvf_drake.paths import SHAPES, make_shape, shape_path
 
 
 def support_of(cloud, **kwargs):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import (
     GaussianMixture,
@@ -21,7 +22,7 @@ from sgvf_drake.fields.vectors import cosine
 from sgvf_drake.learning import SelfCheck, TrainingConfig, train, training
 from sgvf_drake.learning.optimization import Optimization
 from sgvf_drake.learning.self_check import Fault, PieceCheck
-from sgvf_drake.paths import PointCloud, make_shape
+from sgvf_drake.paths import make_shape
 
 RECIPES = ("robust", "exact", "paper")
 EACH = pytest.mark.parametrize("recipe", RECIPES)

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.lyapunov import find_singularities
-from sgvf_drake.paths import Piece, PointCloud, ReferencePath
+from sgvf_drake.paths import Piece, ReferencePath
 from tests.fields import TURN, exact_field, linear_network
 from tests.helpers import circle
 

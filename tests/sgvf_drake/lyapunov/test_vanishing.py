@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.fields import GaussianMixture
 from sgvf_drake.lyapunov import find_singularities, measure_vanishing
 from sgvf_drake.lyapunov.vanishing import BLUR, concentration, path_shape
-from sgvf_drake.paths import Piece, PointCloud, ReferencePath, make_shape, tree_reference
+from sgvf_drake.paths import Piece, ReferencePath, make_shape, tree_reference
 
 
 def arms(angles, length=4.0, spacing=0.1):

@@ -6,9 +6,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.paper import ablation
 from sgvf_drake.paper.ablation import COMPLETE, NO_UNIT, SPEED_ERROR, effect_of
-from sgvf_drake.paths import PointCloud, shape_path
+from sgvf_drake.paths import shape_path
 
 
 def table_of(complete, removed):

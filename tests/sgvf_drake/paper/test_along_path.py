@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.fields import GuidingField
 from sgvf_drake.paper.along_path import (
     SHORTEST,
@@ -13,7 +14,7 @@ from sgvf_drake.paper.along_path import (
     lengths_row,
     sample_path,
 )
-from sgvf_drake.paths import Piece, PointCloud, ReferencePath, shape_path
+from sgvf_drake.paths import Piece, ReferencePath, shape_path
 
 RADIUS = 3.0
 

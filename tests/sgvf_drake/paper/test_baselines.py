@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 from scipy.integrate import solve_ivp
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments import follow
 from sgvf_drake.experiments.workbench import Workbench
@@ -17,7 +18,7 @@ from sgvf_drake.paper.baselines import TRAJECTORIES, BaselineComparison
 from sgvf_drake.paper.claims import Verdict
 from sgvf_drake.paper.methods import CASES, LEARNED, METHODS, make_case
 from sgvf_drake.paper.ways import Ways, coverage, effort, errors, find_ways
-from sgvf_drake.paths import Piece, PointCloud, ReferencePath, trace_pieces
+from sgvf_drake.paths import Piece, ReferencePath, trace_pieces
 from tests.helpers import circle
 
 UNIT = 0.5

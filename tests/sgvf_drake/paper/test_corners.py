@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 from sgvf_drake import learning
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments.workbench import Workbench
 from sgvf_drake.fields import GuidingField, Perceptron, RobustComposition, ScoreNetwork
@@ -24,7 +25,6 @@ from sgvf_drake.paper.traps import (
     slowest_corner,
     ways,
 )
-from sgvf_drake.paths import PointCloud
 
 HOLDS, PARTLY, FAILS = Verdict.HOLDS, Verdict.PARTLY, Verdict.FAILS
 # Half the side of the square, whose half-extent is 4 U.

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.experiments.workbench import Workbench
 from sgvf_drake.fields import load_field
 from sgvf_drake.learning import train
@@ -20,7 +21,6 @@ from sgvf_drake.paper.indexing import (
     make_waypoints,
     measure_curve,
 )
-from sgvf_drake.paths import PointCloud
 
 HOLDS, PARTLY, FAILS = Verdict.HOLDS, Verdict.PARTLY, Verdict.FAILS
 

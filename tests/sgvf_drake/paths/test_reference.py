@@ -3,15 +3,9 @@
 import numpy as np
 import pytest
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import PointCloudError
-from sgvf_drake.paths import (
-    Piece,
-    PointCloud,
-    ReferencePath,
-    make_shape,
-    shape_path,
-    tree_reference,
-)
+from sgvf_drake.paths import Piece, ReferencePath, make_shape, shape_path, tree_reference
 
 L_SHAPE = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 3.0]])
 

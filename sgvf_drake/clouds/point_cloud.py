@@ -4,14 +4,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 import hashlib
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sgvf_drake.arrays import FloatArray
+from sgvf_drake.clouds.geodesy import Origin
+from sgvf_drake.clouds.reading import read_recording
+from sgvf_drake.clouds.tables import looks_transposed
 from sgvf_drake.exceptions import PointCloudError
-from sgvf_drake.paths.reading import read_waypoints
 
 HALF_EXTENT_UNITS = 4.0
 """Half-extent of every cloud in normalised units: the scale of the paper's own shapes, for
@@ -38,16 +41,24 @@ class PointCloud:
         velocities: (N, d) float64, a read-only copy: how a robot moved that recorded the
             waypoints, zero where that is not known, or None.  They settle the direction of
             travel and nothing else, so their unit does not matter.
+        breaks: Waypoints in front of which their recording was interrupted, rising numbers
+            between 0 and N; none where that is not known.
+        origin: Latitude, longitude (degrees) and height (m) where the coordinates are zero,
+            if they are metres along east, north and up that were degrees; or None.
+        messages: What was read and what was made of it, a line each.
 
     Raises:
         PointCloudError: if the points are not such an array, not finite, or so close
             together that float64 cannot resolve them; if the velocities are not as many,
-            or not finite.
+            or not finite; if the breaks are not such numbers.
     """
 
     points: FloatArray
     shape: str | None = None
     velocities: FloatArray | None = None
+    breaks: tuple[int, ...] = ()
+    origin: Origin | None = None
+    messages: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         points = _as_points(self.points)
@@ -57,23 +68,42 @@ class PointCloud:
             velocities = _as_velocities(self.velocities, points.shape)
             velocities.flags.writeable = False
             object.__setattr__(self, "velocities", velocities)
+        object.__setattr__(self, "breaks", _as_breaks(self.breaks, len(points)))
         _check_extent(points, self.half_extent)
 
     @classmethod
     def read(
-        cls, path: str | Path, columns: str | Sequence[str | int] | None = None
+        cls,
+        path: str | Path,
+        columns: str | Sequence[str | int] | None = None,
+        origin: Origin | None = None,
     ) -> "PointCloud":
-        """Reads a .csv, .txt or .npy file; see `sgvf_drake.paths.read_points`.
+        """Reads a file: CSV or other text, .npy, .npz, GPX, or a mission of QGroundControl.
 
-        Columns named vx, vy (and vz), beside those of the coordinates, are velocities; see
-        `sgvf_drake.paths.reading.read_waypoints`.
+        Latitudes and longitudes become metres along east and north.  `messages` tells what was
+        read.  What is recognised, and how, is told on the page "Files of waypoints".
+
+        Args:
+            path: The file; it may be compressed by gzip.
+            columns: The columns of the coordinates, by name or by number from 0: "x_m,y_m",
+                "0,1" or a list.  By default those whose names say so, or both of two columns
+                without names.
+            origin: Where east, north and up are zero, for a file in degrees; by default amid
+                its places.  Files that are to be compared need the same one.
 
         Raises:
-            PointCloudError: if the file, a line or a value cannot be used.
+            PointCloudError: if the file, a line or a value cannot be used, or if it leaves a
+                choice of the columns.
         """
-        points, velocities = read_waypoints(path, columns)
+        recording = read_recording(path, columns, origin)
         try:
-            return cls(points, velocities=velocities)
+            return cls(
+                recording.points,
+                velocities=recording.velocities,
+                breaks=recording.breaks,
+                origin=recording.origin,
+                messages=recording.messages,
+            )
         except PointCloudError as error:
             raise PointCloudError(f"{path}: {error}") from error
 
@@ -141,6 +171,8 @@ def _as_points(values: ArrayLike) -> FloatArray:
         raise PointCloudError(f"waypoints must be an array (N, d), not {array.shape}")
     if array.shape[0] < 2:
         raise PointCloudError(f"a path needs at least 2 waypoints, not {array.shape[0]}")
+    if looks_transposed(array.shape):
+        raise PointCloudError(f"{array.shape[0]} points in {array.shape[1]}-D: transposed?")
     if array.shape[1] < 2:
         raise PointCloudError(
             f"waypoints must have at least 2 coordinates, not {array.shape[1]}"
@@ -168,6 +200,17 @@ def _as_velocities(values: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
     if len(bad):
         raise PointCloudError(f"velocity {bad[0]} is not finite: {velocities[bad[0]].tolist()}")
     return velocities
+
+
+def _as_breaks(values: Sequence[int], num_points: int) -> tuple[int, ...]:
+    """Returns rising numbers between 0 and N."""
+    breaks = tuple(int(value) for value in values)
+    between = (0, *breaks, num_points)
+    if any(after <= before for before, after in pairwise(between)):
+        raise PointCloudError(
+            f"breaks must rise between 0 and {num_points}, not be {list(values)[:8]}"
+        )
+    return breaks
 
 
 def _check_extent(points: FloatArray, half_extent: float) -> None:

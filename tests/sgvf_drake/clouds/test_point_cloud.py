@@ -5,8 +5,8 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import PointCloudError
-from sgvf_drake.paths import PointCloud
 
 CORNERS = [[0, 0], [8, 0], [8, 2], [0, 2]]
 
@@ -35,6 +35,7 @@ def test_points_and_velocities_are_read_only_copies():
     assert PointCloud(CORNERS).velocities is None
     # The cloud is its points: a field stays the same, however its direction was found.
     assert cloud.digest == PointCloud(CORNERS).digest
+    assert PointCloud(CORNERS, breaks=np.array([1, 3])).breaks == (1, 3)
     # Waypoints may coincide, but not all of them.
     assert PointCloud([[0, 0], [0, 0], [1, 1]]).num_points == 3
 
@@ -89,6 +90,8 @@ def test_what_cannot_be_followed_is_refused():
         ([[1.0], [2.0]], "at least 2 coordinates, not 1"),
         ([[1.0, 2.0]], "at least 2 waypoints, not 1"),
         (np.zeros((0, 2)), "at least 2 waypoints, not 0"),
+        (np.eye(2, 400), "2 points in 400-D: transposed"),
+        (np.eye(3, 50), "3 points in 50-D: transposed"),
         ([[1, 2], [3]], "do not all have the same length"),
         ([["a", "b"], ["c", "d"]], "real numbers, not <U1"),
         ([[1j, 2], [3, 4]], "real numbers, not complex128"),
@@ -104,6 +107,9 @@ def test_what_cannot_be_followed_is_refused():
     ):
         with pytest.raises(PointCloudError, match=match):
             PointCloud(points)
+    for breaks in ([0], [4], [2, 2], [3, 1], [-1]):
+        with pytest.raises(PointCloudError, match="breaks must rise between 0 and 4, not be"):
+            PointCloud(CORNERS, breaks=breaks)
     for velocities, match in (
         (np.ones((3, 2)), r"velocities are an array \(3, 2\), but the waypoints are \(4, 2\)"),
         (np.ones((4, 3)), r"\(4, 3\), but"),

@@ -1,0 +1,319 @@
+"""Networks that are known are found: shapes, and the kinds of clouds that people bring."""
+
+import numpy as np
+from numpy.typing import NDArray
+import pytest
+
+from sgvf_drake.clouds import PointCloud
+from sgvf_drake.exceptions import ConfigurationError, PointCloudError
+from sgvf_drake.paths import Piece, ReferencePath, find_paths
+from tests.networks import LOOP, SHAPES, STRAND, Topology, topology
+
+Array = NDArray[np.float64]
+
+U = np.linspace(0, 1, 401)[:-1]
+LAP = np.column_stack(
+    [
+        40 * np.cos(2 * np.pi * U) + 6 * np.cos(6 * np.pi * U),
+        22 * np.sin(2 * np.pi * U) + 4 * np.sin(4 * np.pi * U),
+    ]
+)
+"""One lap of a smooth course, counter-clockwise, in metres."""
+
+
+def length(points: Array) -> float:
+    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+
+
+def rms(network_line: Array, truth: ReferencePath) -> float:
+    return float(np.sqrt((truth.project(network_line).distance ** 2).mean()))
+
+
+@pytest.mark.parametrize("name", SHAPES)
+@pytest.mark.parametrize("noise", [0.0, 0.05])
+def test_shapes_sampled_evenly(name: str, noise: float) -> None:
+    network = find_paths(PointCloud(SHAPES[name].sample(200, noise, random=False, seed=0)))
+    assert topology(network) in SHAPES[name].topologies
+    assert sum(edge.weight for edge in network.edges) == pytest.approx(1, abs=0.02)
+    if not name.startswith(("two laps", "seven")):
+        assert network.scatter / network.unit_length == pytest.approx(noise, abs=0.02)
+
+
+@pytest.mark.parametrize("name", ["T", "eight", "roundabout", "trefoil in space"])
+def test_the_order_of_the_points_changes_nothing(name: str) -> None:
+    points = SHAPES[name].sample(300, 0.02, random=True, seed=1)
+    networks = [
+        find_paths(PointCloud(points[np.random.default_rng(seed).permutation(len(points))]))
+        for seed in range(3)
+    ]
+    assert networks[0].to_json() == networks[1].to_json() == networks[2].to_json()
+
+
+@pytest.mark.parametrize("name", ["Y", "eight", "Y in space"])
+def test_the_unit_and_the_place_change_nothing(name: str) -> None:
+    points = SHAPES[name].sample(300, 0.02, random=False, seed=1)
+    network = find_paths(PointCloud(points))
+    # As far away as coordinates of UTM, in metres.
+    shift = np.array([5e5, 5.4e6, 0.0])[: points.shape[1]]
+    moved = find_paths(PointCloud(20 * points + shift))
+    assert topology(moved) == topology(network)
+    # Rounding moves a point from one cell of a grid to another: to a hundredth of a sigma.
+    assert moved.length == pytest.approx(20 * network.length, rel=1e-3)
+    for here, there in zip(network.nodes, moved.nodes, strict=True):
+        assert np.linalg.norm(there.place - 20 * here.place - shift) < 0.05 * network.sigma * 20
+
+
+@pytest.mark.parametrize("angle", [17.0, 45.0, 80.0])
+def test_turning_a_cloud_turns_its_network(angle: float) -> None:
+    points = SHAPES["roundabout"].sample(400, 0.02, random=False, seed=3)
+    turn = np.radians(angle)
+    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    network = find_paths(PointCloud(points))
+    turned = find_paths(PointCloud(points @ rotation.T))
+    assert topology(turned) == topology(network)
+    for node in network.nodes:
+        distances = [np.linalg.norm(n.place - rotation @ node.place) for n in turned.nodes]
+        assert min(distances) < 0.15
+
+
+def test_a_course_that_crosses_itself() -> None:
+    points = np.column_stack([30 * np.sin(2 * np.pi * U), 16 * np.sin(4 * np.pi * U)])
+    network = find_paths(PointCloud(points))
+    assert topology(network) == Topology(1, 2, crossings=(4,))
+    assert network.is_one_way(0)
+    assert network.routes[0].closed
+    assert network.length == pytest.approx(length(np.vstack([points, points[:1]])), rel=1e-3)
+    np.testing.assert_allclose(network.nodes[0].place, 0, atol=0.05)
+    # Straight over: neighbours of the crossing lie on opposite sides of it.
+    line = network.routes[0].line
+    (at,) = (a for a in [ReferencePath((line,)).project(np.zeros((1, 2))).arc[0]])
+    before, after = line.at(np.array([at - 2, at + 2]))
+    assert float(before @ after) < -3.9 * 0.9
+
+
+def test_streets() -> None:
+    """A grid of blocks with a street missing and a dead end, 1 m of scatter, shuffled."""
+    rng = np.random.default_rng(3)
+    u = np.arange(0, 301, 6.0)
+    streets = [
+        np.column_stack([np.full_like(u, 100 * i), u])[u <= (200 if i == 2 else 300)]
+        for i in range(4)
+    ]
+    streets += [np.column_stack([u, np.full_like(u, 100 * i)]) for i in range(4)]
+    dead_end = np.column_stack([300 + np.arange(6, 90, 6.0), np.full(14, 150.0)])
+    points = np.concatenate([*streets, dead_end])
+    points = rng.permutation(points + rng.normal(0, 1, points.shape))
+    network = find_paths(PointCloud(points))
+    assert network.unsure is None
+    assert (network.count("junction"), network.count("crossing")) == (9, 3)
+    assert (network.count("end"), network.cycles) == (1, 8)
+    assert network.length == pytest.approx(2384, rel=0.02)
+    truth = [(300, 150), (100, 100), (200, 200), (0, 100), (300, 200), (100, 300)]
+    for place in truth:
+        assert min(np.linalg.norm(n.place - place) for n in network.nodes) < 6
+    assert not network.is_one_way(0)
+
+
+def test_a_letter_whose_apex_is_no_junction() -> None:
+    rng = np.random.default_rng(1)
+    legs = [np.linspace(a, b, 60) for a, b in (((-20, -40), (0, 40)), ((0, 40), (20, -40)))]
+    points = np.concatenate([*legs, np.linspace((-10, 0), (10, 0), 30)])
+    network = find_paths(PointCloud(rng.permutation(points + rng.normal(0, 0.2, points.shape))))
+    assert topology(network) == Topology(1, 1, ends=2, junctions=(3, 3))
+    tip = max(edge.line.vertices[:, 1].max() for edge in network.edges)
+    assert tip == pytest.approx(40, abs=1.5)
+
+
+def demonstrations(seed: int) -> list[Array]:
+    """Nine passes of one motion to a common end, whose spread falls to nothing."""
+    rng = np.random.default_rng(seed)
+    u = np.linspace(0, 1, 200)
+    passes = []
+    for _ in range(9):
+        offset, scale = rng.normal(0, 3, 2), rng.uniform(0.9, 1.1)
+        motion = np.column_stack([-50 * (1 - u), 18 * np.sin(5.5 * (1 - u))])
+        passes.append(scale * motion + np.outer(1 - u, offset))
+    return passes
+
+
+def test_demonstrations_of_one_motion() -> None:
+    passes = demonstrations(0)
+    mean = np.mean([length(p) for p in passes])
+    network = find_paths(PointCloud(np.concatenate(passes)))
+    assert topology(network) == STRAND
+    assert network.unsure is None
+    assert network.length == pytest.approx(mean, rel=0.1)
+    # In the direction in which they were recorded, to the common end.
+    np.testing.assert_allclose(network.routes[0].line.vertices[-1], 0, atol=1)
+    assert any("passes" in message for message in network.messages)
+    # Without their order the spread may be of several paths: that is said, or decided.
+    shuffled = np.random.default_rng(0).permutation(np.concatenate(passes))
+    decided = find_paths(PointCloud(shuffled), passes=True)
+    assert topology(decided) == STRAND
+    assert decided.unsure is None
+    assert decided.length == pytest.approx(mean, rel=0.1)
+
+
+def test_two_laps() -> None:
+    rng = np.random.default_rng(2)
+    normal = np.gradient(LAP, axis=0) @ np.array([[0, 1], [-1, 0]])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    laps = np.concatenate([LAP, LAP + 0.3 * normal])
+    network = find_paths(PointCloud(laps + rng.normal(0, 0.03, laps.shape)))
+    assert topology(network) == LOOP
+    assert network.length == pytest.approx(214.9, rel=0.01)
+    middle = ReferencePath((Piece(LAP + 0.15 * normal, closed=True),))
+    assert rms(network.routes[0].line.vertices, middle) < 0.1
+
+
+def test_a_spiral_is_never_closed_across_its_turns() -> None:
+    angle = [0.0]
+    while angle[-1] < 13:
+        angle.append(angle[-1] + (0.6 + 3 * angle[-1] / 13) / (1.5 + 1.4 * angle[-1]))
+    t = np.array(angle)
+    points = (1.5 + 1.4 * t)[:, None] * np.column_stack([np.cos(t), np.sin(t)])
+    network = find_paths(PointCloud(points))
+    assert topology(network) == STRAND
+    np.testing.assert_allclose(
+        network.routes[0].line.vertices[[0, -1]], points[[0, -1]], atol=0.5
+    )
+    turned = find_paths(PointCloud(points[::-1]))
+    np.testing.assert_allclose(turned.routes[0].line.vertices[0], points[-1], atol=0.5)
+    assert (
+        topology(find_paths(PointCloud(np.random.default_rng(0).permutation(points)))) == STRAND
+    )
+
+
+def test_an_open_recording_is_cut_where_it_ends() -> None:
+    recording = LAP[:394]
+    assert topology(find_paths(PointCloud(recording))) == LOOP
+    network = find_paths(PointCloud(recording), closed=False)
+    assert topology(network) == STRAND
+    ends = network.routes[0].line.vertices[[0, -1]]
+    np.testing.assert_allclose(ends, recording[[0, -1]], atol=1e-6)
+    # Without the order, in its widest gap.
+    shuffled = find_paths(
+        PointCloud(np.random.default_rng(1).permutation(recording)), closed=False
+    )
+    found = sorted(shuffled.routes[0].line.vertices[[0, -1]].tolist())
+    np.testing.assert_allclose(found, sorted(recording[[0, -1]].tolist()), atol=1e-6)
+
+
+def test_an_open_path_that_is_to_be_closed() -> None:
+    half = LAP[:300]
+    assert topology(find_paths(PointCloud(half))) == STRAND
+    network = find_paths(PointCloud(half), closed=True)
+    assert topology(network) == LOOP
+    gap = np.linalg.norm(half[-1] - half[0])
+    assert network.length == pytest.approx(length(half) + gap, rel=0.01)
+
+
+def coverage(rows: int, step: float, distance: float) -> Array:
+    x = np.arange(0, 1.8, step)
+    return np.concatenate(
+        [
+            np.column_stack([x if row % 2 == 0 else x[::-1], np.full_like(x, distance * row)])
+            for row in range(rows)
+        ]
+    )
+
+
+def test_rows_of_a_coverage_are_joined_by_their_order() -> None:
+    points = coverage(14, 0.05, 0.13)
+    network = find_paths(PointCloud(points))
+    assert topology(network) == STRAND
+    assert network.length == pytest.approx(length(points), rel=1e-6)
+    # The rows alone are as many paths.
+    rows = find_paths(PointCloud(np.random.default_rng(0).permutation(points)))
+    assert topology(rows) == Topology(14, 0, ends=28)
+    # Where points lie as far apart as rows, the points do not tell.
+    square = np.random.default_rng(0).permutation(coverage(14, 0.13, 0.13))
+    assert is_unsure(square)
+
+
+def is_unsure(points: Array) -> bool:
+    """Whether no network is found, or one that is flagged."""
+    try:
+        return find_paths(PointCloud(points)).unsure is not None
+    except PointCloudError:
+        return True
+
+
+def test_directions() -> None:
+    lap, strand = PointCloud(LAP), PointCloud(LAP[:150])
+    mixed = np.random.default_rng(4).permutation(LAP)
+
+    def turns_left(cloud: PointCloud, **options: object) -> bool:
+        x, y = find_paths(cloud, **options).routes[0].line.vertices.T  # type: ignore[arg-type]
+        return bool(x @ np.roll(y, -1) - y @ np.roll(x, -1) > 0)
+
+    assert turns_left(lap)
+    assert not turns_left(PointCloud(LAP[::-1]))
+    assert turns_left(PointCloud(mixed))
+    assert not turns_left(PointCloud(mixed), direction="cw")
+    assert turns_left(PointCloud(LAP[::-1]), direction="reverse")
+    velocities = np.roll(LAP[::-1], -1, axis=0) - LAP[::-1]
+    assert not turns_left(PointCloud(LAP[::-1], velocities=velocities))
+    assert turns_left(PointCloud(LAP, velocities=np.roll(LAP, -1, axis=0) - LAP))
+    assert not turns_left(PointCloud(LAP, velocities=LAP - np.roll(LAP, -1, axis=0)))
+    start = find_paths(strand, start=LAP[149]).routes[0].line.vertices[0]
+    np.testing.assert_allclose(start, LAP[149], atol=1e-6)
+    with pytest.raises(ConfigurationError, match="closed paths in the plane"):
+        find_paths(strand, direction="cw")
+    with pytest.raises(ConfigurationError, match="2 entries, but the path has 1 piece"):
+        find_paths(lap, direction=("cw", None))
+    streets = PointCloud(SHAPES["T"].sample(200, 0.02, random=False, seed=0))
+    with pytest.raises(ConfigurationError, match="is a network"):
+        find_paths(streets, direction="reverse")
+
+
+@pytest.mark.parametrize(("share", "seed"), [(0.01, 0), (0.01, 1), (0.03, 0), (0.03, 1)])
+def test_strays_are_left_out_and_counted(share: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    points = SHAPES["eight"].sample(500, 0.02, random=False, seed=seed)
+    strays = rng.uniform(-4, 4, (round(share * 500), 2))
+    network = find_paths(PointCloud(np.concatenate([points, strays])))
+    if network.unsure is None:
+        assert topology(network) in SHAPES["eight"].topologies
+    assert 0.4 * len(strays) <= network.dropped <= len(strays)
+
+
+def test_strands_that_nearly_touch_are_two() -> None:
+    circles = [
+        1.9 * np.column_stack([np.cos(2 * np.pi * U), np.sin(2 * np.pi * U)]) + [x, 0]
+        for x in (-2, 2)
+    ]
+    network = find_paths(PointCloud(np.concatenate(circles)[::2]))
+    assert topology(network) == Topology(2, 2)
+
+
+@pytest.mark.parametrize("noise", [0.02, 0.05])
+def test_lines_come_nearer_to_the_path_with_more_points(noise: float) -> None:
+    truth = ReferencePath((Piece(SHAPES["circle"].strands[0][:-1], closed=True),))
+    errors = []
+    for count in (200, 3200):
+        cloud = PointCloud(SHAPES["circle"].sample(count, noise, random=True, seed=0))
+        # The extent of a noisy cloud is a little more than that of its circle.
+        errors.append(rms(find_paths(cloud).routes[0].line.vertices, truth))
+    assert errors[0] < noise
+    assert errors[1] < 0.8 * errors[0]
+
+
+def test_corners_of_clean_points_are_kept() -> None:
+    points = SHAPES["square"].sample(200, 0.0, random=False, seed=0)
+    vertices = find_paths(PointCloud(points)).routes[0].line.vertices
+    for corner in ((-4, -4), (-4, 4), (4, -4), (4, 4)):
+        assert np.linalg.norm(vertices - corner, axis=1).min() < 1e-9
+
+
+def test_many_points_in_space() -> None:
+    points = SHAPES["trefoil in space"].sample(30_000, 0.02, random=True, seed=0)
+    network = find_paths(PointCloud(points))
+    assert topology(network) == LOOP
+
+
+@pytest.mark.parametrize(
+    "points", [np.random.default_rng(0).uniform(-1, 1, (300, 2)), np.eye(2)]
+)
+def test_clouds_without_a_path_are_unsure_or_refused(points: Array) -> None:
+    assert is_unsure(points)
