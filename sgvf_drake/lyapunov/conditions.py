@@ -41,6 +41,19 @@ def check_assumptions(
 ) -> dict[str, Any]:
     """Measures A1 and A2 over the box (paper, Section IV); A3 is a matter of trajectories.
 
+    - a1_score_lipschitz: the largest |J_S| of the learned score, per unit of length
+      squared; a1_exact_lipschitz: the same of the exact score, which is grad log P of a
+      density; a1_score_curl: the median of |curl S| / |J_S|, zero for a gradient.
+    - a2_cosine (A2 i): |cos(s, v)| of the parts of m = s + v; a2_cosine_networks:
+      |cos(S, v)| of the raw score and the tangent, before they are put together;
+      a2_cosine_gradient: |cos(grad V, v)|, which is what the decrease of V rests on.
+    - a2_length_error (A2 ii): | |m| - 1 |.
+    - a2_lipschitz_along_level_sets (A2 iii): |J_v tau| with tau along the level set, per
+      unit of length, whose largest is the local Lipschitz constant L;
+      a2_lipschitz_between_points: the largest |v(x) - v(y)| / |x - y| over pairs of points
+      of the grid whose V is nearly the same, also across from each other and between
+      strands.
+
     Args:
         field: The field.
         function: V, whose gradient and level sets are meant.
@@ -49,19 +62,6 @@ def check_assumptions(
 
     Returns:
         By the names of `summary.json`; of what should be small the `spread`.
-
-        - a1_score_lipschitz: the largest |J_S| of the learned score, per unit of length
-          squared; a1_exact_lipschitz: the same of the exact score, which is grad log P of a
-          density; a1_score_curl: the median of |curl S| / |J_S|, zero for a gradient.
-        - a2_cosine (A2 i): |cos(s, v)| of the parts of m = s + v; a2_cosine_networks:
-          |cos(S, v)| of the raw score and the tangent, before they are put together;
-          a2_cosine_gradient: |cos(grad V, v)|, which is what the decrease of V rests on.
-        - a2_length_error (A2 ii): | |m| - 1 |.
-        - a2_lipschitz_along_level_sets (A2 iii): |J_v tau| with tau along the level set, per
-          unit of length, whose largest is the local Lipschitz constant L;
-          a2_lipschitz_between_points: the largest |v(x) - v(y)| / |x - y| over pairs of points
-          of the grid whose V is nearly the same, also across from each other and between
-          strands.
     """
     x, s, v = (values[samples.on_grid] for values in (samples.x, samples.s, samples.v))
     rng = np.random.default_rng(seed)

@@ -102,6 +102,24 @@ def measure_vanishing(
 ) -> Vanishing:
     """Measures where the score of a planar field vanishes.
 
+    - low_density: whether the zeros of the score keep to low density, against the box;
+      low_density_off_path: the same of those off the path, against the box off the path;
+      high_curvature: whether those on the path keep to high curvature, against the path,
+      None where the path has one curvature; branches: whether those on the path keep near
+      its branches, against the path, None where it has none.
+    - zeros_on_path, zeros_off_path, index_sum_on_path, index_sum_off_path: of the score.
+    - density_correlation: of |S| with log p over the box off the path (Spearman's); it is
+      positive where the score is small at low density.
+    - median_curvature: of the path, per unit of length; curvature_correlation: of |S . T|
+      with the curvature, along the path with its tangent T (Spearman's), negative where
+      the score is small at high curvature, None where the path has one curvature.
+    - small_score: of the places where |S| sigma is `below` some value, the `fraction` of
+      the box that they are, and the parts of them `near_path` (NaN where there are none)
+      and of `low_density`, in the half of the box that has the lower density.
+    - score_zeros_at_guiding_zeros, guiding_zeros_at_score_zeros: how many zeros of the one
+      meet one of the other; guiding_min_at_score_zeros_on_path: the smallest |m| at a zero
+      of the score on the path, infinite where there is none.
+
     Args:
         field: The field.
         found: Its singularities.
@@ -110,24 +128,6 @@ def measure_vanishing(
     Returns:
         What is at the zeros, and a summary by the names of `summary.json`.  Its comparisons
         are those of `concentration`; lines of zeros, which have no place, do not count in them.
-
-        - low_density: whether the zeros of the score keep to low density, against the box;
-          low_density_off_path: the same of those off the path, against the box off the path;
-          high_curvature: whether those on the path keep to high curvature, against the path,
-          None where the path has one curvature; branches: whether those on the path keep near
-          its branches, against the path, None where it has none.
-        - zeros_on_path, zeros_off_path, index_sum_on_path, index_sum_off_path: of the score.
-        - density_correlation: of |S| with log p over the box off the path (Spearman's); it is
-          positive where the score is small at low density.
-        - median_curvature: of the path, per unit of length; curvature_correlation: of |S . T|
-          with the curvature, along the path with its tangent T (Spearman's), negative where
-          the score is small at high curvature, None where the path has one curvature.
-        - small_score: of the places where |S| sigma is `below` some value, the `fraction` of
-          the box that they are, and the parts of them `near_path` (NaN where there are none)
-          and of `low_density`, in the half of the box that has the lower density.
-        - score_zeros_at_guiding_zeros, guiding_zeros_at_score_zeros: how many zeros of the one
-          meet one of the other; guiding_min_at_score_zeros_on_path: the smallest |m| at a zero
-          of the score on the path, infinite where there is none.
     """
     sigma = field.mixture.sigma
     x = _middles(found.box)
