@@ -23,24 +23,19 @@ from sgvf_drake.exceptions import (
     SgvfError,
 )
 from sgvf_drake.fields import Field, GaussianMixture, GuidingField, load_field
-from sgvf_drake.paths import (
-    SHAPES,
-    PathNetwork,
-    ReferencePath,
-    find_paths,
-    make_shape,
-    shape_path,
-)
+from sgvf_drake.paths import SHAPES, PathNetwork, ReferencePath, make_shape, shape_path
 
 if TYPE_CHECKING:
     from sgvf_drake.certificate import Certificate, certify, enclose_zeros
     from sgvf_drake.learning import SelfCheck, TrainingConfig, TrainingResult, train
     from sgvf_drake.lyapunov import LyapunovFunction, find_singularities, verify
+    from sgvf_drake.paths.finding import find_paths
 
 __version__ = "0.1.0"
 
 # What is imported on its first use, and from where.
 _LATER = {
+    "find_paths": "paths.finding",
     **dict.fromkeys(("SelfCheck", "TrainingConfig", "TrainingResult", "train"), "learning"),
     **dict.fromkeys(("LyapunovFunction", "find_singularities", "verify"), "lyapunov"),
     **dict.fromkeys(("Certificate", "certify", "enclose_zeros"), "certificate"),

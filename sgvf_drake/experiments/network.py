@@ -12,7 +12,8 @@ from sgvf_drake.experiments.results import (
     save_figure,
     write_summary,
 )
-from sgvf_drake.paths import PathNetwork, find_paths
+from sgvf_drake.paths import PathNetwork
+from sgvf_drake.paths.finding import find_paths
 
 NETWORK_FILE = "network.json"
 PATHS_FILES = (SUMMARY, NETWORK_FILE, "network.png")

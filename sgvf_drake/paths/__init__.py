@@ -1,7 +1,9 @@
-"""The paths of point clouds: their pieces, and the true ones for the metrics."""
+"""The paths of point clouds: their pieces, and the true ones for the metrics.
+
+`find_paths` is in `sgvf_drake.paths.finding`, since it takes a while to import.
+"""
 
 from sgvf_drake.paths.ends import reverse, signed_area, with_ends
-from sgvf_drake.paths.finding import find_paths
 from sgvf_drake.paths.network import PathNetwork
 from sgvf_drake.paths.reference import (
     Piece,
@@ -23,7 +25,6 @@ __all__ = [
     "ReferencePath",
     "TracedPiece",
     "TreeReference",
-    "find_paths",
     "make_shape",
     "reverse",
     "shape_path",

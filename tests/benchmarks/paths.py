@@ -13,7 +13,7 @@ from typing import Any
 import pandas as pd
 
 from sgvf_drake.clouds import PointCloud
-from sgvf_drake.paths import find_paths
+from sgvf_drake.paths.finding import find_paths
 from tests.networks import SHAPES, topology
 
 NOISES = (0.0, 0.02, 0.05)

@@ -11,7 +11,7 @@ from sgvf_drake.clouds import PointCloud
 from sgvf_drake.experiments.workbench import Workbench
 from sgvf_drake.fields import load_field
 from sgvf_drake.learning import train
-from sgvf_drake.paper import baselines, indexing
+from sgvf_drake.paper import baselines
 from sgvf_drake.paper.claims import Verdict
 from sgvf_drake.paper.indexing import (
     CurveTrial,
@@ -85,8 +85,7 @@ def test_the_kind_runs_on_fields_that_are_hardly_trained(tmp_path, monkeypatch):
         "sgvf_drake.learning.train", lambda cloud, config: train(cloud, short(config))
     )
     # Nor is it of interest how far the agents would come.
-    for module in (indexing, baselines):
-        monkeypatch.setattr(module, "default_duration", lambda path, unit: 4 * unit)
+    monkeypatch.setattr(baselines, "default_duration", lambda path, unit: 4 * unit)
     kind = Indexing(recipe="exact", thinning=[8], starts=4, seeds=[0])
     outcome = kind.run(Workbench(tmp_path))
     figure, curves, agents, order = (exhibit.content for exhibit in outcome.exhibits)

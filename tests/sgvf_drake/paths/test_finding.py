@@ -6,7 +6,8 @@ import pytest
 
 from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError, PointCloudError
-from sgvf_drake.paths import Piece, ReferencePath, find_paths
+from sgvf_drake.paths import Piece, ReferencePath
+from sgvf_drake.paths.finding import find_paths
 from tests.networks import LOOP, SHAPES, STRAND, Topology, topology
 
 Array = NDArray[np.float64]
@@ -35,7 +36,8 @@ def test_shapes_sampled_evenly(name: str, noise: float) -> None:
     network = find_paths(PointCloud(SHAPES[name].sample(200, noise, random=False, seed=0)))
     assert topology(network) in SHAPES[name].topologies
     assert sum(edge.weight for edge in network.edges) == pytest.approx(1, abs=0.02)
-    if not name.startswith(("two laps", "seven")):
+    # Strands that touch or run side by side scatter about their middle.
+    if not name.startswith(("two laps", "seven", "rose of four")):
         assert network.scatter / network.unit_length == pytest.approx(noise, abs=0.02)
 
 
