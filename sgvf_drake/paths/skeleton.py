@@ -117,10 +117,6 @@ class Skeleton:
         """The connected parts."""
         return nx.connected_components(nx.Graph(self.links))
 
-    def total_length(self) -> float:
-        """The length of all links."""
-        return sum(sum(links.values()) for links in self.links.values()) / 2
-
 
 def arc_lengths(points: FloatArray) -> FloatArray:
     """The arc length at each vertex of a polyline, (n, d) -> (n,)."""
