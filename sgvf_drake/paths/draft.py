@@ -150,7 +150,10 @@ class Draft:
                 )
             if self._is_against(k, course.line, choice, start):
                 self._routes[k], self._courses[k] = reversed_route(chain, course)
-        if single and any(self._recording.direction(k) for k in single):
+        given = direction is not None or start is not None
+        if not given and self._cloud.velocities is not None:
+            self._messages.append("the velocities give the direction of travel")
+        elif not given and any(self._recording.direction(k) for k in single):
             self._messages.append("the order of the points gives the direction of travel")
 
     def _is_against(

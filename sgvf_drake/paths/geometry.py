@@ -231,10 +231,11 @@ def _fit(
     period = rough.length if rough.closed else None
     spacing = rough.length / float(own.weights.sum())
     scatter = local_scatter(own.arc, own.points, period)
+    fitted = own
     if period is None and float(np.median(scatter)) > BUNDLE * spacing:
-        own = _without_overhang(own, pinned, step=2 * sigma)
-        scatter = local_scatter(own.arc, own.points, period)
-    u, x, w = _averaged(own, rough.length / MOST_FITTED)
+        fitted = _without_overhang(own, pinned, step=2 * sigma)
+        scatter = local_scatter(fitted.arc, fitted.points, period)
+    u, x, w = _averaged(fitted, rough.length / MOST_FITTED)
     for s in pinned:
         at = int(s > 0) * len(u)
         u, w = np.insert(u, at, s), np.insert(w, at, 100 * w.max())
@@ -248,7 +249,7 @@ def _fit(
     if as_they_are:
         vertices = np.column_stack([np.interp(samples, u, c, period=period) for c in x.T])
     else:
-        width = BANDWIDTH * np.maximum(spacing, np.interp(samples, own.arc, scatter))
+        width = BANDWIDTH * np.maximum(spacing, np.interp(samples, fitted.arc, scatter))
         vertices = _regressed(samples, u, x, w, width, period)
     line = Piece(vertices, rough.closed)
     # Arc lengths on the rough line become those on the fitted one.
@@ -257,7 +258,7 @@ def _fit(
     return Course(
         line,
         np.interp(marks, known, lengths),
-        _spread(line, own),
+        _spread(line, fitted),
         own.index,
         np.interp(own.arc, known, lengths),
     )
