@@ -25,6 +25,8 @@ KINDS = ("source", "sink", "saddle", "focus", "centre", "degenerate")
 complex ones (focus), two imaginary ones (centre), or not told by them."""
 
 PartName = Literal["guiding", "score", "tangent"]
+"""The name of one of `PARTS`."""
+
 PARTS: tuple[PartName, ...] = ("guiding", "score", "tangent")
 """Of what zeros are looked for: m, the raw score S, and the tangent network."""
 
