@@ -49,7 +49,7 @@ def run_paths(
 
 
 def network_summary(cloud: PointCloud, network: PathNetwork) -> dict[str, Any]:
-    """Returns what was found, in the unit of the waypoints."""
+    """Returns what was found, in the unit of the waypoints, without the polylines."""
     pieces = [
         {
             "kind": network.kind(piece),
@@ -59,35 +59,20 @@ def network_summary(cloud: PointCloud, network: PathNetwork) -> dict[str, Any]:
         }
         for piece in range(network.num_pieces)
     ]
-    return {
+    found = network.to_json()
+    for name in ("format", "version", "routes"):
+        del found[name]
+    for edge in found["edges"]:
+        del edge["points"]
+    return found | {
         "num_points": cloud.num_points,
         "dim": cloud.dim,
         "unit": "m" if cloud.origin is not None else "unit of the waypoints",
         "pieces": pieces,
-        "nodes": [
-            {"place": node.place, "kind": node.kind, "degree": node.degree, "piece": node.piece}
-            for node in network.nodes
-        ],
-        "edges": [
-            {
-                "nodes": edge.nodes,
-                "piece": edge.piece,
-                "length": edge.length,
-                "scatter": edge.scatter,
-                "weight": edge.weight,
-            }
-            for edge in network.edges
-        ],
         "junctions": network.count("junction"),
         "crossings": network.count("crossing"),
         "ends": network.count("end"),
         "cycles": network.cycles,
         "length": network.length,
-        "unit_length": network.unit_length,
-        "scatter": network.scatter,
-        "sigma": network.sigma,
-        "spacing": network.spacing,
-        "dropped": network.dropped,
-        "unsure": network.unsure,
         "messages": [*cloud.messages, *network.messages],
     }

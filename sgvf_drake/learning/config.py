@@ -7,8 +7,8 @@ import operator
 from typing import Any, Literal, get_args
 
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.learning.direction import DIRECTIONS, Direction
 from sgvf_drake.learning.scales import SIGMA_DEFAULT
+from sgvf_drake.paths.draft import DIRECTIONS, Direction
 
 Recipe = Literal["paper", "robust", "exact"]
 RECIPES: tuple[Recipe, ...] = get_args(Recipe)

@@ -1,16 +1,14 @@
 """Which way along each piece: the user's choice, or the rule of the spanning tree."""
 
 from collections.abc import Sequence
-from typing import Literal, get_args
 
 import numpy as np
 
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import FloatArray
-from sgvf_drake.paths import TracedPiece, reverse, signed_area
-
-Direction = Literal["ccw", "cw", "reverse"]
-DIRECTIONS: tuple[Direction, ...] = get_args(Direction)
+from sgvf_drake.paths import TracedPiece, reverse
+from sgvf_drake.paths.draft import Direction, direction_choices
+from sgvf_drake.paths.polyline import signed_area
 
 
 def directed(
@@ -37,14 +35,7 @@ def directed(
         ConfigurationError: A direction is unknown, does not fit the pieces in number, or
             asks a piece to turn that is not planar and closed.
     """
-    if direction is None or isinstance(direction, str):
-        choices: Sequence[Direction | None] = [direction] * len(pieces)
-    else:
-        choices = direction
-    if len(choices) != len(pieces):
-        raise ConfigurationError(
-            f"direction has {len(choices)} entries, but the path has {len(pieces)} pieces"
-        )
+    choices = direction_choices(direction, len(pieces))
     return tuple(
         _directed(points, piece, choice, start, velocities)
         for piece, choice in zip(pieces, choices, strict=True)
@@ -70,9 +61,8 @@ def _directed(
                 f"direction {choice!r} is for closed pieces in the plane; "
                 "an open piece takes a start point, or 'reverse'"
             )
-        return (
-            piece if (signed_area(points, piece) > 0) == (choice == "ccw") else reverse(piece)
-        )
+        turns_left = signed_area(points[piece.order]) > 0
+        return piece if turns_left == (choice == "ccw") else reverse(piece)
     if choice == "reverse":
         return reverse(piece)
     return piece

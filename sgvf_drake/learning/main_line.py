@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 from sgvf_drake.fields import FloatArray
 from sgvf_drake.learning.scales import SPARSE
 from sgvf_drake.paths import TracedPiece
+from sgvf_drake.paths.polyline import signed_area
 
 # A piece of fewer waypoints is a stray one.
 STRAY_PIECE = 5
@@ -110,7 +111,7 @@ def untangled(loop: FloatArray) -> FloatArray:
                 order[i + 1 : j[best] + 1] = order[i + 1 : j[best] + 1][::-1].copy()
                 improved = True
     tour = loop[order]
-    turned = loop.shape[1] == 2 and _area(tour) * _area(loop) < 0
+    turned = loop.shape[1] == 2 and signed_area(tour) * signed_area(loop) < 0
     return tour[::-1] if turned else tour
 
 
@@ -137,12 +138,9 @@ def parted(loop: FloatArray) -> list[FloatArray]:
     outer = np.concatenate([loop[: first + 1], loop[last + 1 :]])
     # Each closed piece of the plane runs counter-clockwise; see `TracedPiece`.
     parts = sorted([inner, outer], key=len, reverse=True)
-    return [part[::-1] if loop.shape[1] == 2 and _area(part) < 0 else part for part in parts]
-
-
-def _area(loop: FloatArray) -> float:
-    x, y = loop.T
-    return float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
+    return [
+        part[::-1] if loop.shape[1] == 2 and signed_area(part) < 0 else part for part in parts
+    ]
 
 
 def is_sparse(line: FloatArray) -> bool:

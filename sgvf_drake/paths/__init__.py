@@ -3,7 +3,7 @@
 `find_paths` is in `sgvf_drake.paths.finding`, since it takes a while to import.
 """
 
-from sgvf_drake.paths.ends import reverse, signed_area, with_ends
+from sgvf_drake.paths.ends import reverse, with_ends
 from sgvf_drake.paths.network import PathNetwork
 from sgvf_drake.paths.reference import (
     Piece,
@@ -28,7 +28,6 @@ __all__ = [
     "make_shape",
     "reverse",
     "shape_path",
-    "signed_area",
     "trace_pieces",
     "tree_reference",
     "with_ends",

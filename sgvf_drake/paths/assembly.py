@@ -7,7 +7,7 @@ arms of a node are paired: where all go straight through, it is a crossing.
 All lengths are in units of the cloud (U).
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 import math
 
@@ -15,7 +15,8 @@ import networkx as nx
 import numpy as np
 
 from sgvf_drake.arrays import FloatArray
-from sgvf_drake.paths.skeleton import Skeleton, arc_lengths
+from sgvf_drake.paths.polyline import aim, arc_lengths
+from sgvf_drake.paths.skeleton import Skeleton
 
 CONTRACTION = 3.0
 """Branches within this many sigma of each other along the ridge are one node."""
@@ -100,7 +101,25 @@ class Graph:
         """Joins two ends of paths by a line through points (n, d); they are nodes no more."""
         line = [self.places[a], *([] if via is None else via), self.places[b]]
         self.strands[1 + max(self.strands)] = Strand(np.array(line), [a, b])
-        dissolve(self)
+        self.dissolve()
+
+    def dissolve(self) -> None:
+        """Joins the two strands of nodes that have two arms only."""
+        for node in list(self.places):
+            arms = self.arms(node)
+            if len(arms) != 2:
+                continue
+            (k, side), (m, other) = arms
+            if k == m:
+                path = self.strands[k].path
+                self.strands[k] = Strand(np.vstack([path, path[:1]]), None)
+            else:
+                path = np.vstack([self.outward(arms[0])[::-1], self.outward(arms[1])])
+                far = (k, 1 - side), (m, 1 - other)
+                self.strands[k] = Strand(path, [self.node(arm) for arm in far])
+                del self.strands[m]
+                self._rename_arms({far[0]: (k, 0), far[1]: (k, 1)})
+            del self.places[node]
 
     def cut(self, k: int, before: FloatArray, after: FloatArray) -> None:
         """Cuts a strand between two places along it, (d,) each, which become ends."""
@@ -118,10 +137,11 @@ class Graph:
         other = 1 + max([k, *self.strands])
         self.strands[k] = Strand(np.vstack([strand.path[:i], before]), [start, first])
         self.strands[other] = Strand(np.vstack([after, strand.path[j + 1 :]]), [second, end])
-        # The far arm belongs to the new strand now.
-        if (k, 1) in self.through:
-            onward = self.through.pop((k, 1))
-            self.through[other, 1], self.through[onward] = onward, (other, 1)
+        self._rename_arms({(k, 1): (other, 1)})
+
+    def _rename_arms(self, names: Mapping[Arm, Arm]) -> None:
+        """Keeps what goes through crossings where strands were cut or joined."""
+        self.through = {names.get(a, a): names.get(b, b) for a, b in self.through.items()}
 
     @property
     def signature(self) -> "Signature":
@@ -181,7 +201,7 @@ def assemble(skeleton: Skeleton, sigma: float) -> Graph:
     """Builds the graph of a skeleton whose scale is `sigma`."""
     graph = _contracted(skeleton, sigma)
     _merge_overlaps(graph, sigma)
-    dissolve(graph)
+    graph.dissolve()
     _pair_arms(graph, sigma)
     return graph
 
@@ -263,24 +283,6 @@ def _contract(graph: Graph, link: int) -> None:
             strand.ends = [kept if node == gone else node for node in strand.ends]
 
 
-def dissolve(graph: Graph) -> None:
-    """Joins the two strands of nodes that turned out to have two arms only."""
-    for node in list(graph.places):
-        arms = graph.arms(node)
-        if len(arms) != 2:
-            continue
-        (k, _), (m, _) = arms
-        if k == m:
-            strand = graph.strands[k]
-            graph.strands[k] = Strand(np.vstack([strand.path, strand.path[:1]]), None)
-        else:
-            first, second = graph.outward(arms[0])[::-1], graph.outward(arms[1])
-            ends = [graph.node((k, 1 - arms[0][1])), graph.node((m, 1 - arms[1][1]))]
-            del graph.strands[m]
-            graph.strands[k] = Strand(np.vstack([first, second]), ends)
-        del graph.places[node]
-
-
 def _pair_arms(graph: Graph, sigma: float) -> None:
     """Finds the crossings: nodes with an even number of arms that all go straight through."""
     for arms in graph.all_arms().values():
@@ -319,19 +321,10 @@ def _turn(graph: Graph, a: Arm, b: Arm, sigma: float) -> float:
     not one that crosses it.
     """
     (place_a, out_a), (place_b, out_b) = (
-        _aim(graph.outward(arm), ARM_NEAR * sigma, ARM_FAR * sigma) for arm in (a, b)
+        aim(graph.outward(arm), ARM_NEAR * sigma, ARM_FAR * sigma) for arm in (a, b)
     )
     between = place_b - place_a
     return _angle(-out_a, between) + _angle(between, out_b)
-
-
-def _aim(path: FloatArray, near: float, far: float) -> tuple[FloatArray, FloatArray]:
-    """The point of a polyline at one arc length, and the step from there to another."""
-    arc = arc_lengths(path)
-    far = min(far, arc[-1])
-    near = min(near, far / 2)
-    at = [np.array([np.interp(s, arc, column) for column in path.T]) for s in (near, far)]
-    return at[0], at[1] - at[0]
 
 
 def _angle(a: FloatArray, b: FloatArray) -> float:

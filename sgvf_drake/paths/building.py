@@ -70,14 +70,14 @@ def number(
     edge_index = {k: number for number, k in enumerate(numbered)}
     found = [
         Route(
-            tuple((edge_index[strand], True) for strand, _ in chain.arms),
+            tuple(edge_index[strand] for strand, _ in chain.arms),
             chain.closed,
             course.line,
             piece_of[chain.arms[0][0]],
         )
         for chain, course in zip(routes, courses, strict=True)
     ]
-    found.sort(key=lambda route: (route.piece, min(edge for edge, _ in route.edges)))
+    found.sort(key=lambda route: (route.piece, min(route.edges)))
     return nodes, tuple(edges[k] for k in numbered), tuple(found)
 
 

@@ -13,6 +13,7 @@ from sgvf_drake.paths.assembly import Graph
 from sgvf_drake.paths.building import number, piece_of_strands, reversed_route
 from sgvf_drake.paths.geometry import chains, fit_courses, place_nodes
 from sgvf_drake.paths.network import PathNetwork
+from sgvf_drake.paths.polyline import signed_area
 from sgvf_drake.paths.recording import Recording
 from sgvf_drake.paths.reference import Piece, ReferencePath
 
@@ -139,7 +140,7 @@ class Draft:
             ConfigurationError: If a direction or the start does not fit the path.
         """
         piece = piece_of_strands(self._graph, self._routes, self._courses)
-        choices = _choices(direction, 1 + max(piece.values()))
+        choices = direction_choices(direction, 1 + max(piece.values()))
         single = set(self._single_routes())
         for k, (chain, course) in enumerate(zip(self._routes, self._courses, strict=True)):
             choice = choices[piece[chain.arms[0][0]]]
@@ -231,15 +232,14 @@ class Draft:
         return (*found, *self._messages)
 
 
-def signed_area(vertices: FloatArray) -> float:
-    """Twice the signed area of a closed polyline (n, d) in its first two coordinates."""
-    x, y = vertices[:, :2].T
-    return float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
-
-
-def _choices(
+def direction_choices(
     direction: Direction | Sequence[Direction | None] | None, pieces: int
 ) -> Sequence[Direction | None]:
+    """Returns the direction of each piece, where one may be given for all.
+
+    Raises:
+        ConfigurationError: If they are not as many as the pieces, or one is unknown.
+    """
     choices = (
         [direction] * pieces if direction is None or isinstance(direction, str) else direction
     )

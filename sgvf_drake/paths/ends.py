@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from sgvf_drake.arrays import FloatArray
+from sgvf_drake.paths.polyline import signed_area
 from sgvf_drake.paths.spanning_tree import TracedPiece
 
 
@@ -26,14 +27,8 @@ def with_ends(piece: TracedPiece, points: FloatArray, closed: bool) -> TracedPie
         closing = replace(piece, closed=True, length=piece.length + gap)
         return (
             closing
-            if len(piece.order) > 2 and signed_area(points, closing) >= 0
+            if len(piece.order) > 2 and signed_area(points[closing.order]) >= 0
             else reverse(closing)
         )
     opened = replace(piece, closed=False, length=piece.length - gap)
     return reverse(opened) if tuple(ends[1]) < tuple(ends[0]) else opened
-
-
-def signed_area(points: FloatArray, piece: TracedPiece) -> float:
-    """Returns twice the signed area of a piece in its first two coordinates."""
-    x, y = points[piece.order, :2].T
-    return float(x @ np.roll(y, -1) - y @ np.roll(x, -1))

@@ -31,10 +31,13 @@ SCALE_PER_SPACING = 0.7
 """Below this, the density falls apart into single waypoints."""
 
 SCALE_RATIO = 2**0.25
+"""Between neighbouring scales; half of its logarithm made no difference."""
 
 FEWEST_SCALES = 7
+"""The coarsest scales vote in any case."""
 
 THICK_DIMENSION = 1.5
+"""Box-counting dimension halfway between a line and an area."""
 
 MOST_CELLS = 20_000
 """Scales at which a cloud fills more cells are left out, which bounds time and memory."""
@@ -44,7 +47,6 @@ MANY_POINTS = 4_000
 
 NEARLY_MOST_VOTES = 0.6
 """The finest topology with this share of the most votes is taken."""
-
 
 FEW_VOTES = 2
 """With no more votes than this, the scales do not tell, and the simplest topology is taken."""

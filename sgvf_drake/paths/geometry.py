@@ -17,8 +17,8 @@ from scipy.stats import chi2
 
 from sgvf_drake.arrays import FloatArray, IntArray
 from sgvf_drake.paths.assembly import CONTRACTION, Arm, Graph
+from sgvf_drake.paths.polyline import arc_lengths, points_at
 from sgvf_drake.paths.reference import Piece, ReferencePath
-from sgvf_drake.paths.skeleton import arc_lengths
 
 SPARSE = 0.3
 """Waypoints farther apart than this, in U, cannot tell noise from corners: a line runs through
@@ -137,10 +137,9 @@ def place_nodes(graph: Graph, sigma: float) -> None:
         vector = np.zeros(len(matrix))
         for arm in arms:
             path = graph.outward(arm)
-            arc = arc_lengths(path)
             # Its first part is bent towards the node.
-            at = np.linspace(0.25, 1, 10) * min(2 * CONTRACTION * sigma, arc[-1])
-            line = np.column_stack([np.interp(at, arc, x) for x in path.T])
+            reach = min(2 * CONTRACTION * sigma, float(arc_lengths(path)[-1]))
+            line = points_at(path, reach * np.linspace(0.25, 1, 10))
             middle = line.mean(axis=0)
             along = np.asarray(np.linalg.svd(line - middle)[2][0], dtype=np.float64)
             across = np.eye(len(along)) - np.outer(along, along)

@@ -69,13 +69,13 @@ class Route:
     """Edges that follow each other straight through crossings.
 
     Attributes:
-        edges: The number of each edge, and whether it is travelled from its start to its end.
+        edges: The number of each edge, which is travelled from its start to its end.
         closed: Whether it returns to where it starts.
         line: Its polyline.
         piece: The number of the piece that it belongs to.
     """
 
-    edges: tuple[tuple[int, bool], ...]
+    edges: tuple[int, ...]
     closed: bool
     line: Piece
     piece: int
@@ -202,7 +202,7 @@ class PathNetwork:
             ],
             "routes": [
                 {
-                    "edges": [[edge, forward] for edge, forward in route.edges],
+                    "edges": list(route.edges),
                     "closed": route.closed,
                     "piece": route.piece,
                     "points": route.line.vertices.tolist(),
@@ -238,7 +238,7 @@ class PathNetwork:
                 ),
                 routes=tuple(
                     Route(
-                        tuple((edge, forward) for edge, forward in r["edges"]),
+                        tuple(r["edges"]),
                         r["closed"],
                         Piece(np.array(r["points"], float), r["closed"]),
                         r["piece"],
@@ -258,7 +258,7 @@ class PathNetwork:
                 },
                 messages=tuple(data["messages"]),
             )
-        except (KeyError, TypeError, IndexError) as error:
+        except (KeyError, TypeError, IndexError, ValueError) as error:
             raise PointCloudError(f"the network is damaged: {error}") from error
 
     def save(self, path: str | PathLike[str]) -> None:

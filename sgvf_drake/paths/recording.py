@@ -69,26 +69,22 @@ class Recording:
         Args:
             reach: How near to an end the recording leaves a route.
         """
+        # Of each waypoint the end that it is near, 0 or 1, if its route is open and in order.
+        routes = range(len(self.lengths))
+        recorded = [not self.closed[k] and self.direction(k) != 0 for k in routes]
+        side = np.where(self.arc <= reach, 0, -1)
+        side[self.arc >= self.lengths[self.route] - reach] = 1
+        side[(self.route < 0) | ~np.array(recorded)[self.route]] = -1
         step = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
-        changes = (self.route[:-1] != self.route[1:]) & (step <= JUMP * np.median(step))
-        changes &= (self.route[:-1] >= 0) & (self.route[1:] >= 0)
-        found = []
-        for k in np.flatnonzero(changes):
-            sides = [
-                side for i in (int(k), int(k) + 1) if (side := self._end(i, reach)) is not None
-            ]
-            if len(sides) == 2:
-                found.append(Link(sides[0], sides[1], self.points[k : k + 2]))
-        return found
-
-    def _end(self, waypoint: int, reach: float) -> tuple[int, int] | None:
-        """The end of an open route, run along in order, that a waypoint is near."""
-        route, arc = int(self.route[waypoint]), self.arc[waypoint]
-        if not self.closed[route] and self.direction(route):
-            for side, end in enumerate((0.0, self.lengths[route])):
-                if abs(arc - end) <= reach:
-                    return route, side
-        return None
+        goes_on = (self.route[:-1] != self.route[1:]) & (step <= JUMP * np.median(step))
+        return [
+            Link(
+                (int(self.route[k]), int(side[k])),
+                (int(self.route[k + 1]), int(side[k + 1])),
+                self.points[k : k + 2],
+            )
+            for k in np.flatnonzero(goes_on & (side[:-1] >= 0) & (side[1:] >= 0)).tolist()
+        ]
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,7 @@ from scipy.sparse.csgraph import minimum_spanning_tree
 from scipy.spatial import cKDTree
 
 from sgvf_drake.arrays import FloatArray
+from sgvf_drake.paths.polyline import aim, arc_lengths
 
 LINK = 1.1
 """Ridge points up to this many sigma apart are neighbours: three times their distance."""
@@ -35,6 +36,25 @@ TIP_ALIGNMENT = 0.7
 
 LEAST_LENGTH, FEWEST_WAYPOINTS = 5.0, 5
 """A piece has at least this length in sigma and this many waypoints; less are strays."""
+
+
+WALK_OFFSET = 100.0
+"""Arc length left between two walks when they are laid out one after the other, in U."""
+
+LONGEST_TREE_EDGE = 1.5
+"""Longer edges of the tree of ridge points lead from piece to piece, in U."""
+
+STRAIGHT, BENT = 0.75, 0.3
+"""Cosine between a tip's direction and its bridge: within 41 degrees first, then within 73."""
+
+SIDEWAYS = 0.8
+"""The same where a tip is joined to the side of a strand."""
+
+WIDEST_TIP_GAP, WIDEST_SIDE_GAP = 1.8, 0.8
+"""Gaps wider than this, in U, are gaps of the path, however few its waypoints are."""
+
+BRIDGING_ROUNDS = 6
+"""Rounds of bridges at most: one may be what another starts from."""
 
 
 class Skeleton:
@@ -90,13 +110,8 @@ class Skeleton:
 
     def direction(self, path: list[int], near: float, far: float) -> FloatArray:
         """The unit vector between two arc lengths of a walk, (d,)."""
-        places = self.points[path]
-        arc = arc_lengths(places)
-        far = min(far, arc[-1])
-        near = min(near, far / 2)
-        ends = [[np.interp(s, arc, column) for column in places.T] for s in (near, far)]
-        step = np.subtract(ends[1], ends[0])
-        return np.asarray(step / max(np.linalg.norm(step), 1e-12))
+        _, step = aim(self.points[path], near, far)
+        return step / max(float(np.linalg.norm(step)), 1e-12)
 
     def is_near(self, start: int, target: int, reach: float) -> bool:
         """Whether a walk shorter than `reach` leads from one point to another (Dijkstra)."""
@@ -116,12 +131,6 @@ class Skeleton:
     def pieces(self) -> Iterator[set[int]]:
         """The connected parts."""
         return nx.connected_components(nx.Graph(self.links))
-
-
-def arc_lengths(points: FloatArray) -> FloatArray:
-    """The arc length at each vertex of a polyline, (n, d) -> (n,)."""
-    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 @dataclass(frozen=True)
@@ -268,12 +277,6 @@ def sampling_along(skeleton: Skeleton, points: FloatArray, weights: FloatArray) 
     return Sampling(count, rate, min(1.0, uneven))
 
 
-WALK_OFFSET = 100.0
-"""Arc length left between two walks when they are laid out one after the other, in U."""
-
-LONGEST_TREE_EDGE = 1.5
-
-
 def _unrolled(skeleton: Skeleton) -> tuple[FloatArray, FloatArray]:
     """Lays all walks out along one line: arc length (n,) and tangent (n, d) of each point."""
     arc = np.full(len(skeleton.points), np.nan)
@@ -311,18 +314,6 @@ def _tree_length(points: FloatArray) -> float:
     )
     edges = minimum_spanning_tree(graph.tocsr()).data
     return float(edges[edges < LONGEST_TREE_EDGE].sum())
-
-
-STRAIGHT, BENT = 0.75, 0.3
-"""Cosine between a tip's direction and its bridge: within 41 degrees first, then within 73."""
-
-SIDEWAYS = 0.8
-"""The same where a tip is joined to the side of a strand."""
-
-WIDEST_TIP_GAP, WIDEST_SIDE_GAP = 1.8, 0.8
-"""Gaps wider than this, in U, are gaps of the path, however few its waypoints are."""
-
-BRIDGING_ROUNDS = 6
 
 
 def _bridge_gaps(skeleton: Skeleton, sampling: Sampling, sigma: float) -> None:

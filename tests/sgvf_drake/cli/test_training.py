@@ -8,8 +8,8 @@ import pytest
 from sgvf_drake import PointCloud, load_field
 from sgvf_drake.cli.options import DIRECTIONS as OFFERED
 from sgvf_drake.experiments.figures import runs as figures
-from sgvf_drake.learning.direction import DIRECTIONS
 from sgvf_drake.paths import make_shape
+from sgvf_drake.paths.draft import DIRECTIONS
 from tests.helpers import circle, ink, names_in, summary_of
 
 FILES = {"summary.json", "field.safetensors", "losses.csv", "field.png"}

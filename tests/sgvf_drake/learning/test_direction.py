@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.learning.direction import DIRECTIONS, directed
+from sgvf_drake.learning.direction import directed
 from sgvf_drake.paths import reverse, trace_pieces, with_ends
+from sgvf_drake.paths.draft import DIRECTIONS
 
 
 @pytest.fixture(scope="module")
