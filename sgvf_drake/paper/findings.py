@@ -15,7 +15,7 @@ from typing import Any
 import pandas as pd
 
 from sgvf_drake.paper.claims import Finding, Rows, Verdict
-from sgvf_drake.paper.experiment import Exhibit, load_rows
+from sgvf_drake.paper.experiment import load_rows
 from sgvf_drake.paper.report.tables import view_table
 from sgvf_drake.paper.scenario import Scenario, load_scenario, scenario_names
 
@@ -23,9 +23,24 @@ INTRODUCTION = """\
 # What the experiments found
 
 This page is made from the rows of a full run of `sgvf reproduce`
-(`python -m sgvf_drake.paper.findings docs/results`). Intervals are 95 % over the seeds; U is an
-eighth of the path's extent. Verdicts follow by a rule in code from the figures beside them.
+(`python -m sgvf_drake.paper.findings docs/results`), and a test holds it to them. Intervals are
+95 % over the seeds; U is an eighth of the path's extent. A verdict follows by a rule in code from
+the figures that stand with the claim in the section of its experiment.
 """
+
+PICTURES = {
+    "fig4_ablation": (
+        "The tangent field complete and without each loss, by the shallow and the deep network: "
+        "triangles where it turns around",
+        "ablation.png",
+    ),
+    "fig6_corners": (
+        "Where agents stall: a square and a hexagon by the shallow network, a hexagon by the deep "
+        "one, a square by the robust recipe",
+        "corners.png",
+    ),
+}
+COUNTED = {Verdict.HOLDS: "hold", Verdict.PARTLY: "hold in part", Verdict.FAILS: "do not"}
 
 
 def findings_page(folder: Path) -> str:
@@ -34,47 +49,47 @@ def findings_page(folder: Path) -> str:
     Args:
         folder: A file `SCENARIO.json` for each, as `experiment.save_rows` writes them.
     """
-    found = {
-        name: (scenario, load_rows(file))
+    rows = {
+        name: load_rows(file)
         for name in scenario_names()
         if (file := folder / f"{name}.json").is_file()
-        for scenario in [load_scenario(name)]
     }
-    findings = [
-        finding
-        for scenario, rows in found.values()
-        for finding in scenario.experiment.findings(rows)
-    ]
-    ours = [one for one in findings if not one.of_paper]
+    scenarios = {name: load_scenario(name) for name in rows}
+    found = {name: one.experiment.findings(rows[name]) for name, one in scenarios.items()}
+    findings = [one for judged in found.values() for one in judged]
     parts = [
         INTRODUCTION,
-        _claims("The paper's claims", [one for one in findings if one.of_paper]),
-        _claims("Ours, by the same rules", ours),
-        *(_section(scenario, rows) for scenario, rows in found.values()),
+        _overview("The paper's claims", [one for one in findings if one.of_paper]),
+        _overview("Ours, by the same rules", [one for one in findings if not one.of_paper]),
+        *(_section(name, one, rows[name], found[name]) for name, one in scenarios.items()),
     ]
     return "\n".join(parts)
 
 
-def _claims(title: str, findings: list[Finding]) -> str:
+def _overview(title: str, findings: list[Finding]) -> str:
     counts = Counter(finding.verdict for finding in findings)
-    told = ", ".join(f"{counts[verdict]} {verdict}" for verdict in Verdict)
-    rows = [
-        (one.statement.rstrip("."), one.source, str(one.verdict), one.evidence.rstrip("."))
-        for one in findings
-    ]
-    table = _markdown(["claim", "place", "verdict", "measured"], rows)
-    return f"## {title}\n\nOf {len(findings)}: {told}.\n\n{table}\n"
+    told = ", ".join(f"{counts[verdict]} {word}" for verdict, word in COUNTED.items())
+    rows = [(_claim(one), one.source, str(one.verdict)) for one in findings]
+    table = _markdown(["claim", "place", "verdict"], rows)
+    return f"## {title}\n\nOf {len(findings)}, {told}.\n\n{table}\n"
 
 
-def _section(scenario: Scenario, rows: Rows) -> str:
-    tables: list[Exhibit] = scenario.experiment.tables(rows)
-    parts = [f"## {scenario.title} ({scenario.source})\n"]
-    for exhibit in tables:
+def _section(name: str, scenario: Scenario, rows: Rows, findings: list[Finding]) -> str:
+    judged = [f"- **{_claim(one)}: {one.verdict}.** {one.evidence}" for one in findings]
+    parts = [f"## {scenario.title} ({scenario.source})\n", "\n".join(judged) + "\n"]
+    for exhibit in scenario.experiment.tables(rows):
         assert isinstance(exhibit.content, pd.DataFrame)
         shown = view_table(exhibit.content)
-        names = [name for name, _ in shown.columns]
-        parts.append(f"{exhibit.caption}\n\n{_markdown(names, shown.rows)}\n")
+        columns = [column for column, _ in shown.columns]
+        parts.append(f"{exhibit.caption}\n\n{_markdown(columns, shown.rows)}\n")
+    if name in PICTURES:
+        caption, file = PICTURES[name]
+        parts.append(f"![{caption}](images/{file})\n")
     return "\n".join(parts)
+
+
+def _claim(finding: Finding) -> str:
+    return finding.statement.rstrip(".")
 
 
 def _markdown(columns: list[str], rows: Any) -> str:

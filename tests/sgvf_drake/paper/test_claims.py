@@ -1,6 +1,7 @@
 """Claims: figures, how they are told, and the verdicts that follow from them."""
 
 import math
+from pathlib import Path
 from types import SimpleNamespace
 
 import pandas as pd
@@ -19,6 +20,7 @@ from sgvf_drake.paper.claims import (
 )
 from sgvf_drake.paper.experiment import Exhibit, save_rows
 
+DOCS = Path(__file__).parents[3] / "docs"
 HOLDS, PARTLY, FAILS = Verdict.HOLDS, Verdict.PARTLY, Verdict.FAILS
 
 
@@ -106,9 +108,17 @@ def test_the_page_of_findings_judges_stored_rows_and_tells_ours_apart(tmp_path, 
     squares = pd.DataFrame({"a|b": ["x", "y"], "square": [1, 4]})
     save_rows({"squares": squares}, tmp_path / "alpha.json")
     theirs, ours, tables = findings.findings_page(tmp_path).split("\n## ")[1:]
-    assert "Of 1: 1 holds, 0 holds in part, 0 does not hold." in theirs
-    assert "| Theirs grow | Section IX | holds | largest: 4 |" in theirs
-    assert "Of 1: 0 holds, 0 holds in part, 1 does not hold." in ours
-    assert "| Ours grow | Section IX | does not hold | largest: 4 |" in ours
-    assert tables.startswith("Squares (Fig. 9)\n\nHow they grow.\n\n| a\\|b | square |")
+    assert "Of 1, 1 hold, 0 hold in part, 0 do not." in theirs
+    assert "| Theirs grow | Section IX | holds |" in theirs
+    assert "Of 1, 0 hold, 0 hold in part, 1 do not." in ours
+    assert "| Ours grow | Section IX | does not hold |" in ours
+    assert tables.startswith(
+        "Squares (Fig. 9)\n\n- **Theirs grow: holds.** largest: 4.\n"
+        "- **Ours grow: does not hold.** largest: 4.\n\nHow they grow.\n\n| a\\|b | square |"
+    )
     assert tables.endswith("| x | 1 |\n| y | 4 |\n")
+
+
+def test_the_page_of_findings_in_the_docs_is_what_the_stored_rows_give():
+    page = (DOCS / "findings.md").read_text(encoding="utf-8")
+    assert page == findings.findings_page(DOCS / "results")
