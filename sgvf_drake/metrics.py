@@ -1,18 +1,17 @@
 """How well agents followed a path: reach, laps, ends, stalls, leaving, cross-track error.
 
 Everything is measured in units U of the path (half-extent / 4), against a reference: the
-true path, or the spanning tree of the cloud where nothing else is known.
+true path, or what was found in the cloud where nothing else is known.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial import cKDTree
 
 from sgvf_drake.arrays import BoolArray, FloatArray, IntArray
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
-from sgvf_drake.paths import Reference
+from sgvf_drake.paths import ReferencePath
 
 REACH_DISTANCE = 0.1
 """Reached: within this many U of the path, once."""
@@ -75,8 +74,7 @@ class FollowMetrics:
         laps: Arc length gained since the agent came to stay near its piece, in lengths of
             it; negative against the direction of the reference's arc length.
         piece: The piece of the reference nearest to the last position.
-        open: Whether that piece is open.  An isolated waypoint counts as closed if any
-            piece is, since to stay there means to miss the lap.
+        open: Whether that piece is open.
         samples: Number of time samples in that time; 0 where not settled.
     """
 
@@ -123,7 +121,7 @@ def follow_metrics(
     positions: ArrayLike,
     unit_length: float,
     box: tuple[ArrayLike, ArrayLike],
-    reference: Reference,
+    reference: ReferencePath,
     speed: float = 1.0,
     ends: ArrayLike | None = None,
 ) -> FollowMetrics:
@@ -133,27 +131,24 @@ def follow_metrics(
     `SETTLE_DISTANCE` of one piece without a `JUMP` to another strand of it; L is the
     length of that piece.
 
-    - With a true path, the last lap is the shortest end of the run in which the arc length
-      gained in the tail is at least L, either way around.  A closed piece is lapped then.
-    - With the tree of a cloud, a closed piece is lapped when every waypoint of it was passed
-      within `SETTLE_DISTANCE` in the tail.
-    - Without that gain, or with the tree, the last lap is the last L / speed of time; the
-      agent has settled if its tail covers it.
+    - The last lap is the shortest end of the run in which the arc length gained in the tail
+      is at least L, either way around.  A closed piece is lapped then.
+    - Without that gain, the last lap is the last L / speed of time; the agent has settled if
+      its tail covers it.
     - An open piece has a terminal end, at which its agents come to rest.  An agent has ended
       (and settled) there if it is at rest within `END_DISTANCE` of it and its tail holds all
       of the run since the agent first came within `REACH_DISTANCE` of the path, so that it
       skipped nothing.  Its errors are those of the tail from that reach to its arrival, the
       sample since which it has been within `END_DISTANCE`.
 
-    Between two samples an agent must move less than half a piece.  A piece without length
-    (an isolated waypoint of a cloud) is nothing to settle on.
+    Between two samples an agent must move less than half a piece.
 
     Args:
         times: (T,) increasing, T >= 2.
         positions: (T, n, d), in the user's unit of length.
         unit_length: U, in the same unit.
         box: lower and upper corner (d,).
-        reference: a `ReferencePath`, or `tree_reference(cloud)`.
+        reference: the path.
         speed: the agents' speed, in that unit over the unit of `times`.
         ends: (E, d) where the field comes to rest.  Of the two end vertices of an open piece
             the one that is nearer to any of them is terminal; without any, the last one.
@@ -186,12 +181,12 @@ def follow_metrics(
         maximum=maximum,
         laps=tails.laps,
         piece=tails.piece,
-        open=_open(reference)[tails.piece],
+        open=~reference.closed[tails.piece],
         samples=samples,
     )
 
 
-def default_duration(reference: Reference, unit_length: float, speed: float = 1.0) -> float:
+def default_duration(reference: ReferencePath, unit_length: float, speed: float = 1.0) -> float:
     """Returns the time to run, 1.5 longest pieces + 15 U at the given speed."""
     return (DURATION_LAPS * reference.longest + DURATION_UNITS * unit_length) / speed
 
@@ -224,7 +219,7 @@ def _check(
     times: ArrayLike,
     positions: ArrayLike,
     unit_length: float,
-    reference: Reference,
+    reference: ReferencePath,
     speed: float,
 ) -> tuple[FloatArray, FloatArray]:
     t = np.asarray(times, dtype=np.float64)
@@ -246,7 +241,7 @@ def _check(
     return t, p
 
 
-def _check_ends(ends: ArrayLike | None, reference: Reference) -> FloatArray:
+def _check_ends(ends: ArrayLike | None, reference: ReferencePath) -> FloatArray:
     """Returns the ends as (E, d), E = 0 where none are given."""
     e = np.asarray([] if ends is None else ends, dtype=np.float64)
     if e.size == 0:
@@ -259,16 +254,10 @@ def _check_ends(ends: ArrayLike | None, reference: Reference) -> FloatArray:
     return e
 
 
-def _open(reference: Reference) -> BoolArray:
-    """Returns whether each piece counts as open, (P,); see `FollowMetrics.open`."""
-    isolated = reference.lengths == 0
-    return np.asarray(~reference.closed & ~(isolated & reference.closed.any()))
-
-
-def _terminal_ends(reference: Reference, ends: FloatArray) -> FloatArray:
+def _terminal_ends(reference: ReferencePath, ends: FloatArray) -> FloatArray:
     """Returns the terminal end of each piece (P, d); infinite where it has none."""
     terminal = np.full((len(reference.lengths), reference.dim), np.inf)
-    for piece in np.flatnonzero(~reference.closed & (reference.lengths > 0)):
+    for piece in np.flatnonzero(~reference.closed):
         first, last = reference.first_and_last(int(piece))
         to_first, to_last = (
             np.linalg.norm(ends - vertex, axis=1).min(initial=np.inf)
@@ -292,10 +281,10 @@ class _Tails:
     def laps(self) -> FloatArray:
         last = len(self.gain) - 1
         gain = np.take_along_axis(self.gain, np.minimum(self.first, last)[None], axis=0)[0]
-        return np.where(self.length > 0, gain / np.where(self.length > 0, self.length, 1), 0.0)
+        return np.asarray(gain / self.length)
 
 
-def _tails(positions: FloatArray, unit_length: float, reference: Reference) -> _Tails:
+def _tails(positions: FloatArray, unit_length: float, reference: ReferencePath) -> _Tails:
     steps, agents, dim = positions.shape
     projection = reference.project(positions.reshape(-1, dim))
     distance = projection.distance.reshape(steps, agents)
@@ -303,7 +292,7 @@ def _tails(positions: FloatArray, unit_length: float, reference: Reference) -> _
     piece = pieces[-1]
     length = reference.lengths[piece]
     step = np.diff(projection.arc.reshape(steps, agents), axis=0)
-    period = np.where(reference.closed[piece] & (length > 0), length, np.inf)
+    period = np.where(reference.closed[piece], length, np.inf)
     # An infinite period leaves the steps on open pieces as they are.
     step -= np.round(step / period) * np.where(np.isfinite(period), period, 0.0)
     moved = np.linalg.norm(np.diff(positions, axis=0), axis=2)
@@ -319,29 +308,20 @@ def _last_laps(
     times: FloatArray,
     positions: FloatArray,
     unit_length: float,
-    reference: Reference,
+    reference: ReferencePath,
     speed: float,
     tails: _Tails,
 ) -> tuple[BoolArray, BoolArray, IntArray]:
     """Returns settled (n,), lapped (n,), and the first sample of each last lap (n,)."""
     begin = _window_start(times, tails.length / speed)
-    settled = (begin >= 0) & (tails.first <= begin) & (tails.length > 0)
-    closed = reference.closed[tails.piece]
-    if reference.waypoints is not None:
-        lapped = settled & closed
-        for agent in np.flatnonzero(lapped):
-            tail = positions[tails.first[agent] :, agent]
-            waypoints = reference.waypoints[tails.piece[agent]]
-            passed = cKDTree(tail).query(waypoints)[0] <= SETTLE_DISTANCE * unit_length
-            lapped[agent] = passed.all()
-        return settled, lapped, begin
+    settled = (begin >= 0) & (tails.first <= begin)
     sample = np.arange(len(times))[:, None]
     whole = np.abs(tails.gain) >= (1 - ROUNDING) * tails.length
-    whole &= (sample >= tails.first) & (tails.length > 0)
+    whole &= sample >= tails.first
     passed_all = np.any(whole, axis=0)
     by_gain = len(times) - 1 - np.argmax(whole[::-1], axis=0)
     begin = np.where(passed_all, by_gain, begin)
-    return settled | passed_all, passed_all & closed, begin
+    return settled | passed_all, passed_all & reference.closed[tails.piece], begin
 
 
 def _arrivals(

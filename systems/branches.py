@@ -13,11 +13,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sgvf_drake.arrays import FloatArray
-from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields.base import Field
-from sgvf_drake.paths import TreeReference, trace_pieces
+from sgvf_drake.paths import ReferencePath
 from systems.guidance import FieldForSpeed
+
+FEWEST_POINTS = 100
+"""Points of a branch, unless its line has more vertices."""
 
 MAX_DEPARTURES = 20
 """Places on a branch from which a departure is tried, and entries that are tried for each."""
@@ -128,28 +130,21 @@ def MotionAlong(field: Field, points: FloatArray, speed: float) -> Motion:
     return Motion(points, speed * m, speed**2 * np.einsum("nij,nj->ni", J, m))
 
 
-def MakeBranches(field: Field, points: FloatArray) -> tuple[Branch, ...]:
-    """Returns the pieces of a cloud of waypoints, longest first, without stray points.
-
-    Pieces shorter than one U, `PointCloud.unit_length`, are strays.
+def MakeBranches(field: Field, path: ReferencePath | None = None) -> tuple[Branch, ...]:
+    """Returns the pieces of a path, in its order, those to which a vehicle can be sent.
 
     Args:
-        field: The guiding field; it tells the direction of travel of open pieces, and a
-            learned one which pieces are open: those at whose ends it comes to rest.
-        points: The waypoints, (n, d) in m: of a learned field, `field.cloud.points`.
+        field: The guiding field, in metres; it tells the direction of travel of open pieces.
+        path: The path, in m; None: that of a learned field.
     """
-    unit = PointCloud(points).unit_length
-    tree = TreeReference(points, tuple(trace_pieces(points)))
-    ends = getattr(field, "ends", np.empty((0, field.dim)))
+    path = field.path if path is None else path
     branches = []
-    for piece in tree.opened_at(ends, unit).pieces:
-        if len(piece.order) < 2 or piece.length < unit:
-            continue
-        ordered = points[piece.order]
-        steps = np.diff(ordered, axis=0)
-        if float(np.sum(field(ordered[:-1]) * steps)) < 0.0:
-            ordered = ordered[::-1]
-        branches.append(Branch(ordered, piece.length, piece.closed))
+    for piece in path.pieces:
+        points = piece.sample(max(FEWEST_POINTS, len(piece.vertices)))
+        steps = np.diff(points, axis=0)
+        if float(np.sum(field(points[:-1]) * steps)) < 0.0:
+            points = points[::-1]
+        branches.append(Branch(points, piece.length, piece.closed))
     return tuple(branches)
 
 

@@ -23,11 +23,10 @@ from sgvf_drake.fields.storage import field_digest
 from sgvf_drake.lyapunov import (
     LyapunovFunction,
     find_guiding_zeros,
-    learned_path,
     search_band,
     take_samples,
 )
-from sgvf_drake.paths import Reference
+from sgvf_drake.paths import ReferencePath
 from sgvf_drake.progress import Progress, no_progress
 
 # The matrices are small: more threads cost more than they bring, many times over where other
@@ -48,13 +47,16 @@ MIN_BAND = 0.1
 
 
 def certify(
-    field: GuidingField, reference: Reference | None = None, *, progress: Progress = no_progress
+    field: GuidingField,
+    reference: ReferencePath | None = None,
+    *,
+    progress: Progress = no_progress,
 ) -> Certificate:
     """Proves that robots follow a planar field along its path, or says what is in the way.
 
     Args:
         field: The field.
-        reference: The path, for its pieces and the width of the tube; None: `learned_path`.
+        reference: The path, for its pieces and the width of the tube; None: `field.path`.
         progress: Told how far it is.
 
     Raises:
@@ -66,12 +68,12 @@ def certify(
     check_rounding()
     # What nothing bounds is told before the search.
     model_field(field, Boxes.square(BoxSizes.of(field).cover))
-    reference = learned_path(field) if reference is None else reference
+    reference = field.path if reference is None else reference
     with threadpool_limits(**ONE_THREAD):
         return _search(field, reference, progress)
 
 
-def _search(field: GuidingField, reference: Reference, progress: Progress) -> Certificate:
+def _search(field: GuidingField, reference: ReferencePath, progress: Progress) -> Certificate:
     samples = take_samples(field, grid_size=GRID_SIZE)
     stops = find_guiding_zeros(field).points
     band = search_band(field, samples, reference, RATIOS, stops=stops, progress=progress)
@@ -84,7 +86,7 @@ def _search(field: GuidingField, reference: Reference, progress: Progress) -> Ce
 
 
 def check(
-    certificate: Certificate, field: GuidingField, reference: Reference | None = None
+    certificate: Certificate, field: GuidingField, reference: ReferencePath | None = None
 ) -> Certificate:
     """Proves a certificate anew, without the search.
 
@@ -100,7 +102,7 @@ def check(
     if certificate.conditions is None or not certificate.certified:
         raise ConfigurationError("the certificate certifies nothing")
     check_rounding()
-    reference = learned_path(field) if reference is None else reference
+    reference = field.path if reference is None else reference
     rings = certificate.annuli
 
     def known(piece: int, _: FloatArray) -> list[Annulus]:
@@ -115,7 +117,7 @@ def check(
 
 
 def _prove_narrowing(
-    field: GuidingField, conditions: Conditions, reference: Reference, progress: Progress
+    field: GuidingField, conditions: Conditions, reference: ReferencePath, progress: Progress
 ) -> Certificate:
     """Proves conditions on the band that is left where V was found not to fall."""
     function = LyapunovFunction(mixture_of(field, conditions.sigma))
@@ -153,7 +155,9 @@ def _narrowed(conditions: Conditions, level: float) -> Conditions | None:
     return replace(conditions, c_in=c_in, c_out=c_out)
 
 
-def _without_band(field: GuidingField, reference: Reference, stops: FloatArray) -> Certificate:
+def _without_band(
+    field: GuidingField, reference: ReferencePath, stops: FloatArray
+) -> Certificate:
     """Returns what samples say where they show no band: a zero of m on the path, if any."""
     reason = "V falls on no band of levels with a tube about each piece, by samples"
     if not len(stops):

@@ -28,7 +28,7 @@ from sgvf_drake.certificate.orbits import Annulus, Contraction, Turning, is_trap
 from sgvf_drake.certificate.sublevel_sets import Shape, extend, shape_of_band
 from sgvf_drake.fields import GuidingField
 from sgvf_drake.fields.storage import field_digest
-from sgvf_drake.paths import Reference, ReferencePath, TreeReference
+from sgvf_drake.paths import ReferencePath
 
 ProposeRings = Callable[[int, FloatArray], Iterable[Annulus]]
 """From the number of a piece and its points, (M, 2) normalised, to rings around its orbit."""
@@ -56,7 +56,7 @@ class Attempt:
 def prove(
     field: GuidingField,
     conditions: Conditions,
-    reference: Reference,
+    reference: ReferencePath,
     propose: ProposeRings,
 ) -> Attempt:
     """Proves conditions of a field, and what follows from them for the pieces of a path.
@@ -125,7 +125,7 @@ class Proved:
     """
 
     conditions: Conditions
-    reference: Reference
+    reference: ReferencePath
     levels: MixtureModel
     falls: Division
     moves: Division
@@ -197,7 +197,7 @@ def _orbits(field: GuidingField, proved: Proved, propose: ProposeRings) -> list[
     """
     orbits = []
     components = pieces_in(field, proved.shape, proved.reference)
-    for number, points in enumerate(points_of(proved.reference)):
+    for number, piece in enumerate(proved.reference.pieces):
         component = components[number]
         holes = None if component is None else proved.shape.holes[component - 1]
         result = PieceResult(holes, bool(holes == 1 and proved.reference.closed[number]))
@@ -205,7 +205,7 @@ def _orbits(field: GuidingField, proved: Proved, propose: ProposeRings) -> list[
             orbits.append(_Orbit(result))
             continue
         orbit = _uniqueness(field, proved, component, result)
-        normalised = field.cloud.normalize(points)
+        normalised = field.cloud.normalize(piece.vertices)
         for annulus in propose(number, normalised):
             orbit = _lap(field, proved, component, annulus, orbit)
             if orbit.annulus is not None:
@@ -264,7 +264,7 @@ def _is_within(proved: Proved, component: int, annulus: Annulus) -> bool:
     )
 
 
-def tube_half_width(field: GuidingField, shape: Shape, reference: Reference) -> float:
+def tube_half_width(field: GuidingField, shape: Shape, reference: ReferencePath) -> float:
     """Returns the largest distance of the tube from the path, at most, in the field's unit."""
     cover = shape.cover
     centers = cover.lower + cover.side * (np.argwhere(shape.labels > 0) + 0.5)
@@ -273,7 +273,7 @@ def tube_half_width(field: GuidingField, shape: Shape, reference: Reference) -> 
 
 
 def annuli_half_width(
-    field: GuidingField, annuli: Iterable[Annulus | None], reference: Reference
+    field: GuidingField, annuli: Iterable[Annulus | None], reference: ReferencePath
 ) -> float | None:
     """Returns the largest distance of rings from the path, at most, in the field's unit.
 
@@ -291,19 +291,11 @@ def annuli_half_width(
     return max(distances, default=None)
 
 
-def pieces_in(field: GuidingField, shape: Shape, reference: Reference) -> list[int | None]:
+def pieces_in(field: GuidingField, shape: Shape, reference: ReferencePath) -> list[int | None]:
     """Returns the component, from 1, that each piece of the path lies in alone; or None."""
     found: list[int | None] = []
-    for points in points_of(reference):
-        numbers = np.unique(shape.component_of(field.cloud.normalize(points)))
+    for piece in reference.pieces:
+        numbers = np.unique(shape.component_of(field.cloud.normalize(piece.vertices)))
         alone = len(numbers) == 1 and numbers[0] > 0
         found.append(int(numbers[0]) if alone else None)
     return [number if found.count(number) == 1 else None for number in found]
-
-
-def points_of(reference: Reference) -> list[FloatArray]:
-    """Returns points (M, 2) on each piece of a path."""
-    if isinstance(reference, ReferencePath):
-        return [piece.vertices for piece in reference.pieces]
-    assert isinstance(reference, TreeReference), type(reference)
-    return [reference.points[piece.order] for piece in reference.pieces]

@@ -39,17 +39,18 @@ def verify(
     overwrite: Overwrite = False,
 ) -> None:
     """Check by sampling where V decreases along a field, and name what speaks against it."""
-    from sgvf_drake.experiments import choose_path, open_field, run_verify, scale_reference
+    from sgvf_drake.experiments import choose_reference, open_field, run_verify
 
     if starts < 1:
         raise ConfigurationError(f"the number of starts must be at least 1, not {starts}")
     loaded = open_field(field)
-    path, kind = choose_path(loaded, reference, columns_of(columns, reference, "--reference"))
+    chosen = columns_of(columns, reference, "--reference")
+    path, kind = choose_reference(loaded, reference, chosen)
     print_messages(path.messages)
     with progress() as report:
         summary = run_verify(
             loaded.rescaled(scale),
-            (scale_reference(path, scale), kind),
+            (path.rescaled(scale), kind),
             out,
             starts=starts,
             speed=speed if fly else None,
@@ -134,12 +135,12 @@ def certify(
 ) -> None:
     """Prove that robots follow a field along its path; exit 1 where that is not proved."""
     from sgvf_drake.certificate import Certificate
-    from sgvf_drake.experiments import as_flown, choose_path, open_field, run_certify
+    from sgvf_drake.experiments import as_flown, choose_reference, open_field, run_certify
 
     loaded = open_field(field)
     if speed is not None:
         loaded = as_flown(loaded, speed, scale)
-    path = choose_path(loaded, reference, columns_of(columns, reference, "--reference"))
+    path = choose_reference(loaded, reference, columns_of(columns, reference, "--reference"))
     print_messages(path[0].messages)
     certificate = None if claimed is None else Certificate.load(claimed)
     with progress() as report:

@@ -103,7 +103,6 @@ def fly(
         open_field,
         run_fly,
         run_tour,
-        scale_reference,
     )
     from systems import SensorParameters
 
@@ -134,7 +133,7 @@ def fly(
         raise ConfigurationError(f"--tube {tube} is shown by --html or --meshcat; give one")
     if html or meshcat:
         options["view"] = _view(loaded, scale, speed, html, meshcat, tube or certificate)
-    metric, chosen = loaded.rescaled(scale), (scale_reference(path, scale), kind)
+    metric, chosen = loaded.rescaled(scale), (path.rescaled(scale), kind)
     with progress() as report:
         if pieces is None:
             summary = run_fly(metric, chosen, out, spec, **options, progress=report)

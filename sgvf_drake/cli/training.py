@@ -27,6 +27,10 @@ def train(
     shape: Annotated[
         str | None, typer.Option(help="A named shape in place of a file; see `sgvf shapes`.")
     ] = None,
+    network: Annotated[
+        Path | None,
+        typer.Option(help="A network.json of `sgvf paths`, whose lines are the waypoints."),
+    ] = None,
     columns: Columns = None,
     num_points: Annotated[
         int | None, typer.Option(help="Waypoints of the shape  \\[default: 200].")
@@ -46,12 +50,15 @@ def train(
             help="All pieces are open paths, with ends, or closed  \\[default: as they look].",
         ),
     ] = None,
+    passes: Annotated[
+        bool, typer.Option("--passes", help="All waypoints are passes of one path.")
+    ] = False,
     direction: Annotated[
         str | None,
         typer.Option(
             help="Direction of travel: ccw, cw or reverse; or one for each piece, the longest "
-            "first, as in cw,-,reverse; - is the rule  \\[default: closed pieces ccw, open "
-            "ones from the smaller x].",
+            "first, as in cw,-,reverse; - is the rule  \\[default: as recorded; else closed "
+            "pieces ccw, open ones from the smaller x].",
         ),
     ] = None,
     start: Annotated[
@@ -60,6 +67,10 @@ def train(
             metavar="X,Y", help="A point near which open paths start, in the waypoints' unit."
         ),
     ] = None,
+    anyway: Annotated[
+        bool,
+        typer.Option("--anyway", help="Train also on paths that branch or cross themselves."),
+    ] = False,
     sigma: Annotated[
         float | None, typer.Option(help="Noise level in U  \\[default: from the waypoints].")
     ] = None,
@@ -78,10 +89,12 @@ def train(
 ) -> None:
     """Train a guiding field from waypoints."""
     from sgvf_drake.clouds import PointCloud
-    from sgvf_drake.paths import make_shape
+    from sgvf_drake.paths import PathNetwork, make_shape
 
-    if (points is None) == (shape is None):
-        raise ConfigurationError("give either --points FILE or --shape NAME")
+    if sum(given is not None for given in (points, shape, network)) != 1:
+        raise ConfigurationError(
+            "give one of --points FILE, --shape NAME and --network network.json"
+        )
     if seed < 0:
         raise ConfigurationError(f"seed cannot be {seed}")
     sampled = {"num_points": num_points, "noise": noise, "sampling": sampling}
@@ -96,27 +109,32 @@ def train(
     }
     of_path: dict[str, Any] = {
         "open": is_open,
+        "passes": passes or None,
         "direction": directions_of(direction),
         "start": point_of(start),
     }
     _check_recipe(recipe, of_path, score_iterations)
     chosen = columns_of(columns, points, "--points")
+    if given and shape is None:
+        option = f"--{next(iter(given))}".replace("_", "-")
+        raise ConfigurationError(f"{option} is for --shape; a file is taken as it is")
+    source: PointCloud | PathNetwork
     if points is not None:
-        if given:
-            option = f"--{next(iter(given))}".replace("_", "-")
-            raise ConfigurationError(f"{option} is for --shape; a file is taken as it is")
-        cloud = PointCloud.read(points, chosen)
+        source = PointCloud.read(points, chosen)
+        print_messages(source.messages)
+    elif network is not None:
+        source = PathNetwork.load(network)
     else:
         assert shape is not None
-        cloud, _ = make_shape(shape, seed=seed, **given)
+        source, _ = make_shape(shape, seed=seed, **given)
     # Slow to import, so only once the waypoints are read.
     from sgvf_drake.experiments import run_train
     from sgvf_drake.learning import TrainingConfig
 
-    config = TrainingConfig(recipe=recipe, seed=seed, **of_path, **overrides)
-    print_messages(cloud.messages)
+    asked = {name: value for name, value in of_path.items() if value is not None}
+    config = TrainingConfig(recipe=recipe, seed=seed, anyway=anyway, **asked, **overrides)
     with progress() as report:
-        summary = run_train(cloud, config, out, overwrite=overwrite, progress=report)
+        summary = run_train(source, config, out, overwrite=overwrite, progress=report)
     print_training(summary)
     print_folder(out)
 

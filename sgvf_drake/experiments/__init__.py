@@ -2,7 +2,7 @@
 
 Every `run_...` returns the summary that it leaves in the folder `out`, tells `progress` how far
 it is, and replaces results there only where `overwrite` says so.  Its `reference` is one from
-`choose_reference` or `choose_path`; None: the best there is without a file.
+`choose_reference`; None: the best there is without a file.
 """
 
 from sgvf_drake.experiments.certified import CertifiedField, as_flown
@@ -15,7 +15,7 @@ from sgvf_drake.experiments.flight import FlightSpec, check_feasibility, flight_
 from sgvf_drake.experiments.fly import FlightResult, fly
 from sgvf_drake.experiments.follow import FollowResult, follow
 from sgvf_drake.experiments.importing import run_import
-from sgvf_drake.experiments.reference import choose_reference, scale_reference
+from sgvf_drake.experiments.reference import choose_reference
 from sgvf_drake.experiments.runs import (
     open_field,
     run_demo,
@@ -34,7 +34,7 @@ from sgvf_drake.experiments.velocity_error import (
     flight_margin,
     flight_tracking,
 )
-from sgvf_drake.experiments.verify import choose_path, run_verify
+from sgvf_drake.experiments.verify import run_verify
 
 __all__ = [
     "CertifiedField",
@@ -48,7 +48,6 @@ __all__ = [
     "as_flown",
     "check_feasibility",
     "check_theorem",
-    "choose_path",
     "choose_reference",
     "flight_log",
     "flight_margin",
@@ -67,7 +66,6 @@ __all__ = [
     "run_tour",
     "run_train",
     "run_verify",
-    "scale_reference",
     "simulate",
     "singularity_figure",
     "theorem_figure",

@@ -15,9 +15,9 @@ from sgvf_drake.experiments.results import (
     save_figure,
     write_summary,
 )
-from sgvf_drake.experiments.verify import choose_path
+from sgvf_drake.experiments.reference import choose_reference
 from sgvf_drake.fields import GuidingField
-from sgvf_drake.paths import Reference
+from sgvf_drake.paths import ReferencePath
 from sgvf_drake.progress import Progress, no_progress
 
 CERTIFY_FILES = (SUMMARY, CERTIFICATE, CERTIFICATE_FIGURE)
@@ -25,7 +25,7 @@ CERTIFY_FILES = (SUMMARY, CERTIFICATE, CERTIFICATE_FIGURE)
 
 def run_certify(
     field: GuidingField,
-    reference: tuple[Reference, str] | None,
+    reference: tuple[ReferencePath, str] | None,
     out: str | PathLike[str],
     *,
     claimed: Certificate | None = None,
@@ -40,7 +40,7 @@ def run_certify(
         ConfigurationError: The field is not planar, nothing bounds it, or what is claimed is
             claimed of another field.
     """
-    path, kind = reference or choose_path(field)
+    path, kind = reference or choose_reference(field)
     begin, cpu = time.perf_counter(), time.process_time()
     with result_folder(out, CERTIFY_FILES, overwrite=overwrite) as folder:
         if claimed is None:

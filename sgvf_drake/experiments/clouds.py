@@ -18,7 +18,6 @@ from scipy.ndimage import gaussian_filter1d
 
 from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.experiments.reference import scale_reference
 from sgvf_drake.fields import FloatArray
 from sgvf_drake.paths import SHAPES, Piece, ReferencePath, make_shape, shape_path
 
@@ -207,7 +206,7 @@ def _circle(radius: float, x: float = 0.0, y: float = 0.0) -> Piece:
 
 
 def _flight(factor: float) -> ReferencePath:
-    scaled = scale_reference(shape_path("concentric-flight"), factor)
+    scaled = shape_path("concentric-flight").rescaled(factor)
     assert isinstance(scaled, ReferencePath)
     return scaled
 

@@ -18,7 +18,7 @@ from sgvf_drake.experiments.simulation import advance, read_log
 from sgvf_drake.fields import GuidingField
 from sgvf_drake.lyapunov import LyapunovFunction
 from sgvf_drake.metrics import REST_WINDOW
-from sgvf_drake.paths import Reference, ReferencePath, TreeReference
+from sgvf_drake.paths import ReferencePath
 from sgvf_drake.progress import Progress, no_progress
 from systems import (
     FieldForSpeed,
@@ -99,7 +99,7 @@ class FlightSpec:
                 f"take-off, not {self.duration}"
             )
 
-    def along(self, field: GuidingField, reference: Reference, piece: int) -> "FlightSpec":
+    def along(self, field: GuidingField, reference: ReferencePath, piece: int) -> "FlightSpec":
         """Returns the spec with a start beside a piece and time to fly along it.
 
         The time is that for the laps of a closed piece, or to the end of an open one and to
@@ -119,7 +119,7 @@ class FlightSpec:
 
 
 def hover_start(
-    field: GuidingField, reference: Reference, piece: int, altitude: float
+    field: GuidingField, reference: ReferencePath, piece: int, altitude: float
 ) -> FloatArray:
     """Returns a position (3,) beside a piece, from which all of it can be flown.
 
@@ -133,11 +133,7 @@ def hover_start(
         piece: Its number.
         altitude: The third coordinate for a planar piece, m.
     """
-    if isinstance(reference, TreeReference):
-        points = reference.points[reference.pieces[piece].order]
-    else:
-        assert isinstance(reference, ReferencePath)
-        points = reference.pieces[piece].vertices
+    points = reference.pieces[piece].vertices
     unit, ends = field.cloud.unit_length, field.ends
     middle = points.mean(axis=0)
     if not reference.closed[piece]:
@@ -155,7 +151,7 @@ def hover_start(
     return start if len(start) == 3 else np.append(start, altitude)
 
 
-def flown_pieces(field: GuidingField, reference: Reference) -> list[int]:
+def flown_pieces(field: GuidingField, reference: ReferencePath) -> list[int]:
     """Returns the pieces long enough to fly: all but stray points, shorter than one U.
 
     Raises:
@@ -190,16 +186,13 @@ class Feasibility:
 
 
 def check_feasibility(
-    field: GuidingField, reference: Reference, speed: float, parameters: QuadrotorParameters
+    field: GuidingField, reference: ReferencePath, speed: float, parameters: QuadrotorParameters
 ) -> Feasibility:
     """Compares the acceleration that the path demands with what the thrust allows.
 
     The demand is that of the field as it is flown; see `systems.FieldForSpeed`.
     """
-    if isinstance(reference, ReferencePath):
-        points = np.concatenate([piece.sample(DEMAND_SAMPLES) for piece in reference.pieces])
-    else:
-        points = field.cloud.points
+    points = np.concatenate([piece.sample(DEMAND_SAMPLES) for piece in reference.pieces])
     m, J = FieldForSpeed(field, speed).value_and_jacobian(points)
     turning = np.linalg.norm(np.einsum("nij,nj->ni", J, m), axis=1)
     return Feasibility(speed**2 * float(turning.max()), parameters.max_horizontal_acceleration)
@@ -227,7 +220,7 @@ class SimulatedFlight(NamedTuple):
 
 def simulate(
     field: GuidingField,
-    reference: Reference,
+    reference: ReferencePath,
     spec: FlightSpec,
     piece: int,
     *,

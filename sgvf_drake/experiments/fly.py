@@ -20,7 +20,7 @@ from sgvf_drake.experiments.flight import (
 from sgvf_drake.experiments.scene import FlightScene
 from sgvf_drake.fields import GuidingField
 from sgvf_drake.metrics import REACH_DISTANCE, FollowMetrics, follow_metrics
-from sgvf_drake.paths import Reference
+from sgvf_drake.paths import ReferencePath
 from sgvf_drake.progress import Progress, no_progress
 
 # A propeller this close to a limit, relative to the limit, is saturated.
@@ -89,7 +89,7 @@ class FlightResult:
 
 def fly(
     field: GuidingField,
-    reference: Reference,
+    reference: ReferencePath,
     spec: FlightSpec | None = None,
     *,
     progress: Progress = no_progress,
@@ -128,7 +128,11 @@ def fly(
 
 
 def _summary(
-    log: pd.DataFrame, field: GuidingField, reference: Reference, piece: int, spec: FlightSpec
+    log: pd.DataFrame,
+    field: GuidingField,
+    reference: ReferencePath,
+    piece: int,
+    spec: FlightSpec,
 ) -> dict[str, Any]:
     """Returns the figures of a flight along a piece by the names of `summary.json`."""
     times = log["time"].to_numpy(dtype=np.float64)

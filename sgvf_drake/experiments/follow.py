@@ -10,7 +10,7 @@ from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments.simulation import simulate_agents
 from sgvf_drake.fields import Field, FloatArray, ParametricField
 from sgvf_drake.metrics import FollowMetrics, default_duration, follow_metrics, grid_starts
-from sgvf_drake.paths import Reference, ReferencePath
+from sgvf_drake.paths import ReferencePath
 from sgvf_drake.progress import Progress, no_progress
 
 # The integrator's step in U at a speed of one U a second, at most and in noise levels: the
@@ -76,7 +76,7 @@ class FollowResult:
 
 def follow(
     field: PathField,
-    reference: Reference,
+    reference: ReferencePath,
     starts: int = 400,
     duration: float | None = None,
     progress: Progress = no_progress,
@@ -136,12 +136,9 @@ def _states(field: PathField, positions: FloatArray) -> FloatArray:
     return field.lift(positions) if isinstance(field, ParametricField) else positions
 
 
-def _speed_on_path(field: PathField, reference: Reference) -> tuple[float, float]:
-    if isinstance(reference, ReferencePath):
-        share = SPEED_SAMPLES // len(reference.pieces)
-        points = np.concatenate([piece.sample(share) for piece in reference.pieces])
-    else:
-        points = field.cloud.points
+def _speed_on_path(field: PathField, reference: ReferencePath) -> tuple[float, float]:
+    share = SPEED_SAMPLES // len(reference.pieces)
+    points = np.concatenate([piece.sample(share) for piece in reference.pieces])
     m = field(_states(field, points))[:, : points.shape[1]]
     speeds = np.linalg.norm(m, axis=1)
     return float(speeds.min()), float(speeds.max())

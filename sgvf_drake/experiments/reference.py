@@ -1,19 +1,11 @@
-"""Against what a field is measured: a file, the true shape, or the cloud itself."""
+"""Against what a field is measured: a file, the true shape, or what was found."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import GuidingField
-from sgvf_drake.paths import (
-    Piece,
-    Reference,
-    ReferencePath,
-    TreeReference,
-    shape_path,
-    tree_reference,
-)
+from sgvf_drake.paths import ReferencePath
 
 
 def choose_reference(
@@ -22,7 +14,7 @@ def choose_reference(
     columns: Sequence[str | int] | None = None,
     *,
     closed: bool | None = None,
-) -> tuple[Reference, str]:
+) -> tuple[ReferencePath, str]:
     """Returns the best reference there is for a field, and its kind.
 
     Args:
@@ -34,7 +26,7 @@ def choose_reference(
 
     Returns:
         The reference and `file`, `shape` (the field was trained on a named shape) or
-        `cloud` (the spanning tree of the waypoints).
+        `cloud` (the paths that were found in the waypoints).
 
     Raises:
         PointCloudError: If the file cannot be read.
@@ -53,22 +45,4 @@ def choose_reference(
                 f"{file}: the reference has {path.dim} coordinates, the field {field.dim}"
             )
         return path, "file"
-    if field.cloud.shape is not None:
-        return shape_path(field.cloud.shape), "shape"
-    tree = tree_reference(field.cloud)
-    return tree.opened_at(field.ends, field.cloud.unit_length), "cloud"
-
-
-def scale_reference(reference: Reference, factor: float) -> Reference:
-    """Returns the reference in another unit of length: positions times `factor`."""
-    if isinstance(reference, TreeReference):
-        pieces = (
-            replace(piece, arc=piece.arc * factor, length=piece.length * factor)
-            for piece in reference.pieces
-        )
-        return TreeReference(reference.points * factor, tuple(pieces))
-    if not isinstance(reference, ReferencePath):
-        raise TypeError(f"cannot scale a {type(reference).__name__}")
-    return ReferencePath(
-        tuple(Piece(piece.vertices * factor, piece.closed) for piece in reference.pieces)
-    )
+    return field.path, "cloud" if field.cloud.shape is None else "shape"

@@ -27,7 +27,7 @@ from sgvf_drake.experiments.scene import NO_VIEW, View
 from sgvf_drake.experiments.tour import fly_tour
 from sgvf_drake.experiments.velocity_error import flight_margin, margin_summary
 from sgvf_drake.fields import GuidingField, load_field
-from sgvf_drake.paths import Reference, make_shape
+from sgvf_drake.paths import PathNetwork, ReferencePath, make_shape
 from sgvf_drake.progress import Progress, no_progress
 from systems import FieldForSpeed
 
@@ -53,19 +53,20 @@ def open_field(path: Folder) -> GuidingField:
 
 
 def run_train(
-    cloud: PointCloud,
+    source: PointCloud | PathNetwork,
     config: Any,
     out: Folder,
     *,
     overwrite: bool = False,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
-    """Trains a field by a `TrainingConfig`; leaves it, the losses, a figure, the summary."""
+    """Trains a field as `learning.train` does; leaves it, the losses, a figure, the summary."""
     # Imported here: follow and fly do without torch.
     from sgvf_drake.learning import train
 
     with result_folder(out, TRAIN_FILES, overwrite=overwrite) as folder:
-        result = train(cloud, config, progress)
+        result = train(source, config, progress)
+        cloud = result.field.cloud
         result.field.save(folder / FIELD_FILE)
         result.history.to_csv(folder / "losses.csv", index=False)
         figure = figures.training_figure(result.field, result.history)
@@ -79,7 +80,8 @@ def run_train(
             "shape": cloud.shape,
             "digest": cloud.digest,
             "origin": cloud.origin,
-            "messages": list(cloud.messages),
+            "messages": [*cloud.messages, *result.network.messages],
+            "unsure": result.network.unsure,
             **_path_summary(result, config),
             "train_cpu_s": result.cpu_s,
             "train_wall_s": result.wall_s,
@@ -96,33 +98,36 @@ def run_train(
 
 def _path_summary(result: Any, config: Any) -> dict[str, Any]:
     """Returns what the training made of the waypoints, in their unit."""
-    support, unit = result.support, result.field.cloud.unit_length
+    support, network = result.support, result.network
+    unit = network.unit_length
     # The paper's recipe learns from the waypoints as they are.
     cleans = result.field.recipe != "paper"
     return {
         "pieces": [
             {
-                "points": len(piece.indices),
-                "closed": piece.closed,
-                "length": piece.length * unit,
+                "points": waypoints,
+                "closed": line.closed,
+                "length": line.length * unit,
             }
-            for piece in support.pieces
+            for line, waypoints in zip(support.path.pieces, support.waypoints, strict=True)
         ],
         "ends": result.field.ends,
         "open": config.open,
         "direction": config.direction,
         "start": config.start,
-        "spacing": support.scales.spacing * unit,
-        "noise": support.scales.noise * unit,
-        "gap": support.scales.gap * unit,
-        "dropped": support.dropped if cleans else 0,
+        "passes": config.passes,
+        "anyway": config.anyway,
+        "spacing": support.spacing * unit,
+        "noise": network.scatter,
+        "gap": support.gap * unit,
+        "dropped": network.dropped if cleans else 0,
         "resampled": support.resampled and cleans,
     }
 
 
 def run_follow(
     field: GuidingField,
-    reference: tuple[Reference, str] | None,
+    reference: tuple[ReferencePath, str] | None,
     out: Folder,
     *,
     starts: int = 400,
@@ -144,7 +149,7 @@ def run_follow(
 
 def run_fly(
     field: GuidingField,
-    reference: tuple[Reference, str] | None,
+    reference: tuple[ReferencePath, str] | None,
     out: Folder,
     spec: FlightSpec,
     *,
@@ -182,7 +187,7 @@ def run_fly(
 
 def run_tour(
     field: GuidingField,
-    reference: tuple[Reference, str] | None,
+    reference: tuple[ReferencePath, str] | None,
     out: Folder,
     tour: Sequence[int],
     spec: FlightSpec,

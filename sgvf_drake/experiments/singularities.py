@@ -25,7 +25,7 @@ from sgvf_drake.lyapunov import (
     find_singularities,
     measure_vanishing,
 )
-from sgvf_drake.paths import Reference
+from sgvf_drake.paths import ReferencePath
 
 SINGULARITIES_FILES = (SUMMARY, "zeros.csv", "singularities.png", "log_density.png")
 
@@ -34,7 +34,7 @@ Row = dict[str, Any]
 
 def run_singularities(
     field: GuidingField,
-    reference: tuple[Reference, str] | None,
+    reference: tuple[ReferencePath, str] | None,
     out: str | PathLike[str],
     *,
     prove: bool = False,

@@ -17,7 +17,7 @@ from sgvf_drake.experiments.simulation import advance, read_log
 from sgvf_drake.fields import AdjustableField, Field, GuidingField, TangentField
 from sgvf_drake.lyapunov import LyapunovFunction, Verification, find_modes
 from sgvf_drake.metrics import default_duration, grid_starts
-from sgvf_drake.paths import Reference
+from sgvf_drake.paths import ReferencePath
 from sgvf_drake.progress import Progress, no_progress
 from systems import MakeKinematicDiagram, MakeSimulator, SetPositions, StopOnExit, SublevelExit
 
@@ -346,7 +346,7 @@ Checks = tuple[DecreaseCheck, LevelSetCheck, ModeCheck]
 
 def check_theorem(
     field: GuidingField,
-    reference: Reference,
+    reference: ReferencePath,
     found: Verification,
     starts: int,
     progress: Progress = no_progress,

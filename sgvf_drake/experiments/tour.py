@@ -26,7 +26,7 @@ from sgvf_drake.experiments.flight import (
 from sgvf_drake.experiments.scene import FlightScene
 from sgvf_drake.fields import GuidingField
 from sgvf_drake.metrics import REACH_DISTANCE, REST_WINDOW
-from sgvf_drake.paths import Reference
+from sgvf_drake.paths import ReferencePath
 from sgvf_drake.progress import Progress, no_progress
 from systems import Branch, BranchSupervisor, MakeBranches, Mode, QuadrotorParameters
 from systems.branch_supervisor import ACCELERATION_SHARE
@@ -84,7 +84,7 @@ class TourResult:
 
 def fly_tour(
     field: GuidingField,
-    reference: Reference,
+    reference: ReferencePath,
     tour: Sequence[int],
     spec: FlightSpec | None = None,
     *,
@@ -155,18 +155,12 @@ def fly_tour(
 
 
 def _branches_of(
-    field: GuidingField, reference: Reference
+    field: GuidingField, reference: ReferencePath
 ) -> tuple[list[int], tuple[Branch, ...]]:
-    """Returns the piece of the reference that each branch of the waypoints is, and these."""
-    branches = MakeBranches(field, field.cloud.points)
-    pieces = [
-        int(np.bincount(reference.project(branch.points).piece).argmax()) for branch in branches
-    ]
-    if sorted(pieces) != flown_pieces(field, reference):
-        raise ConfigurationError(
-            f"the waypoints are in {len(pieces)} pieces, which are not those of the reference"
-        )
-    return pieces, branches
+    """Returns the pieces of the reference that are flown, and the branch that each is."""
+    pieces = flown_pieces(field, reference)
+    path = ReferencePath(tuple(reference.pieces[piece] for piece in pieces))
+    return pieces, MakeBranches(field, path)
 
 
 def _stop(pieces: Sequence[int], piece: int) -> int:

@@ -28,7 +28,7 @@ from sgvf_drake.experiments.flight import (
 from sgvf_drake.experiments.fly import PieceFlight
 from sgvf_drake.fields import Field, GuidingField
 from sgvf_drake.lyapunov import LyapunovFunction, Margins
-from sgvf_drake.paths import Reference
+from sgvf_drake.paths import ReferencePath
 from sgvf_drake.progress import Progress, no_progress
 from systems import FieldForSpeed, SublevelExit
 
@@ -175,7 +175,7 @@ class TrackingResult:
 
 def flight_tracking(
     field: GuidingField,
-    reference: Reference,
+    reference: ReferencePath,
     speed: float,
     function: LyapunovFunction,
     margins: Margins,

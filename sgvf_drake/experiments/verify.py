@@ -23,31 +23,17 @@ from sgvf_drake.experiments.results import (
 from sgvf_drake.experiments.theorem import check_theorem
 from sgvf_drake.experiments.velocity_error import flight_tracking
 from sgvf_drake.fields import GuidingField
-from sgvf_drake.lyapunov import Verification, learned_path, verify
-from sgvf_drake.paths import Reference
+from sgvf_drake.lyapunov import Verification, verify
+from sgvf_drake.paths import ReferencePath
 from sgvf_drake.progress import Progress, no_progress
 from systems import FieldForSpeed
 
 VERIFY_FILES = (SUMMARY, "verify.png", "theorem.png", "tracking.png")
 
 
-def choose_path(
-    field: GuidingField,
-    file: str | Path | None = None,
-    columns: Sequence[str | int] | None = None,
-) -> tuple[Reference, str]:
-    """Returns the path whose tube is looked for, and its kind; as `choose_reference`.
-
-    Where nothing but the cloud is known, it is the tree of the points that were learned from:
-    strays and noise have no tube.
-    """
-    path, kind = choose_reference(field, file, columns)
-    return (learned_path(field), kind) if kind == "cloud" else (path, kind)
-
-
 def run_verify(
     field: GuidingField,
-    reference: tuple[Reference, str] | None,
+    reference: tuple[ReferencePath, str] | None,
     out: str | PathLike[str],
     *,
     starts: int = 64,
@@ -67,7 +53,7 @@ def run_verify(
     """
     if speed is not None and not (np.isfinite(speed) and speed > 0):
         raise ConfigurationError(f"the speed must be a positive number, not {speed}")
-    path, kind = reference or choose_path(field)
+    path, kind = reference or choose_reference(field)
     begin = time.perf_counter()
     with result_folder(out, VERIFY_FILES, overwrite=overwrite) as folder:
         found = verify(field, path, progress=progress)
@@ -137,7 +123,7 @@ def verification_summary(field: GuidingField, found: Verification) -> dict[str, 
 
 def _fly(
     field: GuidingField,
-    reference: Reference,
+    reference: ReferencePath,
     speed: float,
     altitude: float,
     folder: Path,

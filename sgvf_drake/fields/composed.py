@@ -14,6 +14,7 @@ from sgvf_drake.fields.composition import Composition, RobustComposition
 from sgvf_drake.fields.mixture import GaussianMixture
 from sgvf_drake.fields.perceptron import Perceptron, ScoreNetwork
 from sgvf_drake.fields.rest import Rest
+from sgvf_drake.paths import PathNetwork, ReferencePath, shape_path
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -36,6 +37,8 @@ class ComposedField(AnalyticField):
             None: the waypoints themselves.
         end_points: The terminal ends of open paths, (E, d) in the user's unit, at which
             robots come to rest; None: there are none.
+        path_network: The paths that it was trained for, in the user's unit; None: they are
+            found in the waypoints when they are asked for.
         provenance: The rest of what is known of its making, as plain JSON values.
     """
 
@@ -48,6 +51,7 @@ class ComposedField(AnalyticField):
     seed: int
     support: FloatArray | None = None
     end_points: FloatArray | None = None
+    path_network: PathNetwork | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -63,6 +67,26 @@ class ComposedField(AnalyticField):
     def ends(self) -> FloatArray:
         """The terminal ends of open paths, (E, d) in the user's unit; E may be zero."""
         return np.empty((0, self.dim)) if self.end_points is None else self.end_points
+
+    @cached_property
+    def network(self) -> PathNetwork:
+        """The paths that it is for, in the user's unit."""
+        if self.path_network is not None:
+            return self.path_network
+        # Imported here: a field of a file has its network, and does without numba.
+        from sgvf_drake.paths.finding import find_paths
+
+        support = PointCloud(self.mixture.points)
+        found = find_paths(support)
+        # Of older files: a path that looks closed has an end where the field does.
+        missing = len(self.ends) > found.count("end") // 2
+        return find_paths(support, closed=False) if missing else found
+
+    @cached_property
+    def path(self) -> ReferencePath:
+        """The path that it is measured against: of a named shape the true one, else its own."""
+        shape = self.cloud.shape
+        return self.network.path if shape is None else shape_path(shape)
 
     def score(self, x: FloatArray) -> FloatArray:
         """Returns the raw score S ~ grad log p at t = 1, per unit of length."""
@@ -95,8 +119,13 @@ class ComposedField(AnalyticField):
             None if points is None else points * factor
             for points in (self.support, self.end_points)
         )
-        cloud = PointCloud(self.cloud.points * factor)
-        return replace(self, cloud=cloud, support=support, end_points=ends)
+        return replace(
+            self,
+            cloud=PointCloud(self.cloud.points * factor),
+            support=support,
+            end_points=ends,
+            path_network=self.path_network and self.path_network.rescaled(factor),
+        )
 
     @property
     def approach_length(self) -> float:

@@ -18,7 +18,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from sgvf_drake.clouds import Origin, PointCloud
-from sgvf_drake.exceptions import FieldFileError, OutputExistsError
+from sgvf_drake.exceptions import FieldFileError, OutputExistsError, PointCloudError
 from sgvf_drake.fields.activation import SILU, find_activation
 from sgvf_drake.fields.base import FloatArray
 from sgvf_drake.fields.composed import ComposedField
@@ -30,13 +30,15 @@ from sgvf_drake.fields.composition import (
 )
 from sgvf_drake.fields.mixture import GaussianMixture
 from sgvf_drake.fields.perceptron import FourierFeatures, Perceptron, ScoreNetwork
+from sgvf_drake.paths import PathNetwork
 
 # The only entry of the metadata, which safetensors writes in random order: with one, equal
 # fields are equal files.
 HEADER_KEY = "sgvf_drake.field"
-VERSION = 2
-# Version 1 had neither activations, as every network was one of SiLU, nor normalised fields.
-READABLE_VERSIONS = (1, VERSION)
+VERSION = 3
+# Version 1 had neither activations, as every network was one of SiLU, nor normalised fields;
+# before version 3 a field did not hold its paths, which are found in its waypoints then.
+READABLE_VERSIONS = (1, 2, VERSION)
 OF_VERSION_1 = {"score_activation": SILU.name, "tangent_activation": SILU.name}
 COMPOSITIONS: dict[type[Composition], str] = {
     RobustComposition: "robust",
@@ -123,7 +125,10 @@ def read_field(path: str | os.PathLike[str]) -> dict[str, Any]:
         return _arguments(json.loads(metadata[HEADER_KEY]), tensors)
     except KeyError as error:
         raise FieldFileError(f"{path}: {error.args[0]} is missing") from None
-    except (ValueError, TypeError, OverflowError, RecursionError) as error:
+    except (
+        *(ValueError, TypeError, OverflowError, RecursionError),
+        PointCloudError,
+    ) as error:
         raise FieldFileError(f"{path}: {error}") from None
 
 
@@ -146,6 +151,7 @@ def _header(field: ComposedField) -> dict[str, Any]:
         "center": field.cloud.center.tolist(),
         "unit_length": field.cloud.unit_length,
         "provenance": dict(field.provenance),
+        "network": field.path_network and field.path_network.to_json(),
         **origin,
     }
 
@@ -154,7 +160,7 @@ def _arguments(header: Any, tensors: Tensors) -> dict[str, Any]:
     if not isinstance(header, dict):
         raise ValueError("the header is not a JSON object")
     if header["version"] not in READABLE_VERSIONS:
-        readable = " and ".join(map(str, READABLE_VERSIONS))
+        readable = ", ".join(map(str, READABLE_VERSIONS))
         raise ValueError(f"version {header['version']} of the format; this reads {readable}")
     if header["version"] == 1:
         header = header | OF_VERSION_1
@@ -174,6 +180,7 @@ def _arguments(header: Any, tensors: Tensors) -> dict[str, Any]:
         "sigma": sigma,
         "support": tensors.get(SUPPORT_KEY),
         "end_points": tensors.get(ENDS_KEY),
+        "path_network": _path_network(header),
         "score_model": _score_model(header, tensors, cloud, sigma),
         "tangent_network": _network("tangent", header, tensors, cloud.dim, cloud.dim),
         "composition": _composition(header, sigma),
@@ -194,6 +201,13 @@ def _origin(header: Mapping[str, Any]) -> Origin | None:
         return None
     latitude, longitude, height = map(float, _checked(header, "origin", list))
     return latitude, longitude, height
+
+
+def _path_network(header: Mapping[str, Any]) -> PathNetwork | None:
+    if header["version"] < VERSION:
+        return None
+    network = _checked(header, "network", dict, type(None))
+    return None if network is None else PathNetwork.from_json(network)
 
 
 def _positive(header: Mapping[str, Any], key: str) -> float:

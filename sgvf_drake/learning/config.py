@@ -7,7 +7,7 @@ import operator
 from typing import Any, Literal, get_args
 
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.learning.scales import SIGMA_DEFAULT
+from sgvf_drake.learning.support import SIGMA_DEFAULT
 from sgvf_drake.paths.draft import DIRECTIONS, Direction
 
 Recipe = Literal["paper", "robust", "exact"]
@@ -40,9 +40,13 @@ class TrainingConfig:
             same machine.
         open: Whether the pieces are open paths, at whose ends robots come to rest; None:
             what the cloud looks like.
+        passes: Whether all waypoints are passes of one path, whose spread is scatter.
         direction: `ccw` or `cw` (closed pieces in the plane) or `reverse` (of the rule), for
-            all pieces or a tuple with one for each (None: the rule), the longest first.
+            all pieces or a tuple with one for each (None: the rule), the longest first; the
+            rule is that of `find_paths`.
         start: A point near which open paths start, (d,) in the unit of the waypoints.
+        anyway: Whether to train also on paths that branch or cross, which no field of the
+            position alone can follow everywhere.
         max_restarts: How often a field that fails its self-check is trained again with
             another seed.
         sigma_min: Noise level at the data end, normalised units (half-extent 4).
@@ -75,8 +79,10 @@ class TrainingConfig:
     recipe: Recipe = "robust"
     seed: int = 0
     open: bool | None = None
+    passes: bool = False
     direction: Direction | tuple[Direction | None, ...] | None = None
     start: tuple[float, ...] | None = None
+    anyway: bool = False
     max_restarts: int | None = None
     sigma_min: float | None = None
     gain: float | None = None
@@ -100,7 +106,7 @@ class TrainingConfig:
             )
         for name, convert in _CONVERSIONS.items():
             value = getattr(self, name)
-            if value is None and name != "seed":
+            if value is None and name not in ("seed", "passes", "anyway"):
                 continue
             try:
                 # Plain Python values, also from NumPy's: they are written as JSON.
@@ -114,6 +120,17 @@ class TrainingConfig:
                 )
         if not any(self.resolved(SIGMA_DEFAULT).weights.values()):
             raise ConfigurationError("every loss of the tangent has weight 0; nothing is left")
+
+    @property
+    def of_path(self) -> dict[str, Any]:
+        """The options of `find_paths` that are given."""
+        given = {
+            "closed": None if self.open is None else not self.open,
+            "passes": self.passes or None,
+            "direction": self.direction,
+            "start": self.start,
+        }
+        return {name: value for name, value in given.items() if value is not None}
 
     def resolved(self, sigma: float) -> "Settings":
         """Returns every value of the run, where the cloud asks for a noise level."""
@@ -187,7 +204,7 @@ _NOT_FOR: dict[Recipe, dict[str, str]] = {
     "exact": {"exact_target": "which has no score network"},
 }
 # What is asked of the path, and not of the learning.
-_OF_THE_PATH = ("open", "direction", "start")
+_OF_THE_PATH = ("open", "passes", "direction", "start", "anyway")
 # Paper, Section V-A: networks, iterations, k_s and lambdas.  No restarts: it is there to be
 # compared.
 _PAPER: dict[str, Any] = {
@@ -279,6 +296,8 @@ def _direction(value: Any) -> Any:
 _CONVERSIONS: dict[str, Callable[[Any], Any]] = {
     "seed": _natural,
     "open": _flag,
+    "passes": _flag,
+    "anyway": _flag,
     "direction": _direction,
     "start": _point,
     "max_restarts": _natural,

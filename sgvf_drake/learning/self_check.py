@@ -9,8 +9,7 @@ from scipy.integrate import solve_ivp
 from scipy.spatial import cKDTree
 
 from sgvf_drake.fields import FloatArray, GuidingField
-from sgvf_drake.learning.support import Support, find_support
-from sgvf_drake.paths import TracedPiece
+from sgvf_drake.paths import Piece, ReferencePath
 
 # Starts on each closed piece, evenly spread, which have to complete it; and starts around
 # each piece, this many U beside it, which have to come to a path and not stop.
@@ -22,7 +21,7 @@ LENGTHS = 1.5
 WAY_IN = 3.0
 # |m| below this on the path is a stall, and gets no more time.
 SLOWEST = 0.1
-# A waypoint counts as passed within this many U, or one noise level where that is more: wide
+# A place counts as passed within this many U, or one noise level where that is more: wide
 # enough for a tip that is cut, too narrow for a strand that is skipped.
 PASS_DISTANCE = 0.5
 # At rest: the last part of a run (in U of time at full speed) spans less than this.
@@ -33,8 +32,8 @@ END_DISTANCE = 0.1
 # A stretch of the path on which the field runs against the rest of it is a fault from this
 # length on (in U); shorter ones are the way a corner is turned.
 SPLIT_LENGTH = 0.5
-# Pieces of fewer waypoints are stray points, not a path.
-SMALLEST_PIECE = 3
+# Places on a piece that are looked at, in one U of its length, and the fewest of them.
+PLACES_PER_UNIT, FEWEST_PLACES = 10, 16
 # Samples of a run in one U, and the tolerance of its integration in U.
 SAMPLES_PER_UNIT = 10
 TOLERANCE = 1e-3
@@ -91,14 +90,12 @@ class SelfCheck:
 
     @property
     def passed(self) -> bool:
-        """Whether there is a piece, and no piece has a fault."""
-        return bool(self.pieces) and not any(piece.faults for piece in self.pieces)
+        """Whether no piece has a fault."""
+        return not any(piece.faults for piece in self.pieces)
 
     @property
     def message(self) -> str:
         """One line that says what was found."""
-        if not self.pieces:
-            return f"no piece has {SMALLEST_PIECE} waypoints, so there is nothing to follow"
         if self.passed:
             return f"{len(self.pieces)} of {len(self.pieces)} pieces followed to the end"
         return "; ".join(
@@ -114,31 +111,32 @@ class SelfCheck:
         return {"passed": self.passed, "message": self.message, **asdict(self)}
 
 
-def check_field(field: GuidingField, support: Support | None = None) -> SelfCheck:
+def check_field(field: GuidingField, path: ReferencePath | None = None) -> SelfCheck:
     """Follows the field from every piece of its path and from around it.
 
     Args:
         field: The field.
-        support: What it was learned from; None: found again from its cloud.
+        path: The path, normalised units; None: that of the field's network.
     """
-    if support is None:
-        support = find_support(field.cloud.normalize(field.cloud.points))
-    checker = _Checker(field, support)
-    pieces = [p for p in support.pieces if len(p.indices) >= SMALLEST_PIECE]
-    return SelfCheck(tuple(checker.check(piece) for piece in pieces))
+    if path is None:
+        cloud, lines = field.cloud, field.network.path.pieces
+        path = ReferencePath(
+            tuple(Piece(cloud.normalize(line.vertices), line.closed) for line in lines)
+        )
+    checker = _Checker(field, path)
+    return SelfCheck(tuple(checker.check(piece) for piece in path.pieces))
 
 
 class _Checker:
     """One field and its path, in normalised units."""
 
-    def __init__(self, field: GuidingField, support: Support) -> None:
+    def __init__(self, field: GuidingField, path: ReferencePath) -> None:
         self._field = field
-        self._points = support.points
-        self._tree = cKDTree(support.points)
+        self._path = path
         self._ends = field.cloud.normalize(field.ends)
         self._reach = max(PASS_DISTANCE, field.sigma)
 
-    def check(self, piece: TracedPiece) -> PieceCheck:
+    def check(self, piece: Piece) -> PieceCheck:
         on, around = self._starts(piece)
         slowness = float((1 / np.maximum(self._speeds(piece), SLOWEST)).mean())
         duration = (LENGTHS * piece.length + WAY_IN) * slowness
@@ -156,7 +154,7 @@ class _Checker:
             faults=self._distinct(faults),
         )
 
-    def _starts(self, piece: TracedPiece) -> tuple[FloatArray, FloatArray]:
+    def _starts(self, piece: Piece) -> tuple[FloatArray, FloatArray]:
         """Returns starts on the piece and around it; an open one is entered at its start."""
         count = STARTS if piece.closed else 1
         on = self._evenly(piece, count)
@@ -166,21 +164,24 @@ class _Checker:
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         return on, beside + AROUND * directions
 
-    def _evenly(self, piece: TracedPiece, count: int) -> FloatArray:
-        numbers = np.linspace(0, len(piece.order), count, endpoint=False).astype(int)
-        return self._points[piece.order[numbers]]
+    def _evenly(self, piece: Piece, count: int) -> FloatArray:
+        return piece.at(np.linspace(0, piece.length, count, endpoint=False))
 
-    def _speeds(self, piece: TracedPiece) -> FloatArray:
-        waypoints = self._field.cloud.denormalize(self._points[piece.indices])
-        return np.asarray(np.linalg.norm(self._field(waypoints), axis=1))
+    def _places(self, piece: Piece) -> FloatArray:
+        return piece.sample(max(FEWEST_PLACES, round(PLACES_PER_UNIT * piece.length)))
 
-    def _fault(
-        self, run: FloatArray, piece: TracedPiece | None, slowness: float
-    ) -> Fault | None:
+    def _speeds(self, piece: Piece) -> FloatArray:
+        places = self._field.cloud.denormalize(self._places(piece))
+        return np.asarray(np.linalg.norm(self._field(places), axis=1))
+
+    def _fault(self, run: FloatArray, piece: Piece | None, slowness: float) -> Fault | None:
         """What is wrong with a run (T, d) that is to complete a piece, or None."""
         last = run[-1]
         resting = run[-round(REST_TIME * slowness * SAMPLES_PER_UNIT) :]
-        if not np.isfinite(run).all() or self._tree.query(last)[0] > self._reach:
+        if (
+            not np.isfinite(run).all()
+            or self._path.project(last[None]).distance[0] > self._reach
+        ):
             return self._at("leave", last)
         at_rest = np.linalg.norm(np.ptp(resting, axis=0)) < REST_SPAN
         if (
@@ -190,15 +191,15 @@ class _Checker:
             return self._at("stall", last)
         if piece is None:
             return None
-        waypoints = self._points[piece.indices]
-        missed = cKDTree(run).query(waypoints)[0]
+        places = self._places(piece)
+        missed = cKDTree(run).query(places)[0]
         if missed.max() > self._reach:
-            return self._at("skip", waypoints[missed.argmax()])
+            return self._at("skip", places[missed.argmax()])
         return None
 
-    def _splits(self, piece: TracedPiece) -> list[Fault]:
+    def _splits(self, piece: Piece) -> list[Fault]:
         """Stretches on which the field runs against most of the piece, by their middles."""
-        line = self._points[piece.order]
+        line = self._places(piece)
         chords = np.roll(line, -1, axis=0) - np.roll(line, 1, axis=0)
         m = self._field(self._field.cloud.denormalize(line))
         along = np.sign((m * chords).sum(axis=1))

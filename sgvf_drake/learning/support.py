@@ -1,40 +1,65 @@
-"""The points that are learned from: the waypoints, cleaned where they need it.
+"""The points that are learned from, their tangents and the noise level, from a network.
 
-Most clouds are learned as they are.  Where waypoints are too many, stray, sparse, noisy or
-uneven for the noise level that the path asks for, they are thinned, left out, or replaced
-by points evenly spaced on a smoothing spline through their piece, so that a robot finds the
-same density everywhere.
+Clean waypoints on closed paths are learned as they are.  All others are replaced by points
+evenly spaced on the lines that were found, so that a robot finds the same density everywhere.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
-import warnings
 
+import networkx as nx
 import numpy as np
-from scipy.interpolate import make_splprep
 from scipy.spatial import cKDTree
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.fields import FloatArray
-from sgvf_drake.learning.main_line import STRAY_PIECE, is_sparse, main_line, parted, steps_of
-from sgvf_drake.learning.scales import CloudScales, cloud_scales
-from sgvf_drake.paths import TracedPiece, trace_pieces, with_ends
+from sgvf_drake.paths import PathNetwork, Piece, ReferencePath
 
-# More waypoints than this are thinned to one a cell; a cell with less than this share of the
-# median count holds strays.
-MAX_POINTS = 2_000
-STRAY_SHARE = 0.1
-FIRST_CELL = 0.01
-# A waypoint is stray if its nearest neighbour is this many times farther than that of nine
-# waypoints in ten, and this many times farther than that of its own neighbours (their
-# median): in a sparse stretch of a path they are far from each other too.
-STRAY_DISTANCE = 3.0
-STRAY_RATIO = 2.0
-# Learned as it is: a cloud whose own noise level is at most this many times the one that its
-# path asks for, and whose gaps along the path are at most this many of it.
-CLEAN_LEVEL = 1.25
-CLEAN_GAP = 2.5
-# Points on the spline, in noise levels.
-SPLINE_SPACING = 0.5
+SIGMA_DEFAULT, SIGMA_CEILING = 0.1, 1.0
+"""The noise level where nothing asks for another, and the coarsest that still leaves a path in
+a cloud of half-extent 4."""
+
+SIGMA_PER_SPACING = 0.65
+"""Below half the spacing the mixture falls apart into single waypoints, where robots stop."""
+
+SIGMA_PER_SCATTER = 3.0
+
+SIGMA_PER_GAP = 0.25
+"""From two noise levels apart, the ridges of neighbouring strands are two; from four, a robot
+on one does not feel the other."""
+
+STRAND_SEPARATION, STRAND_RATIO = 1.0, 5.0
+"""Strands are neighbours, and not the two sides of a corner, if the way from one to the other
+along the path is longer than this in U, and this many times longer than across.  The legs of a
+hairpin are such strands, so that the noise level stays below its width."""
+
+WIDEST_GAP = SIGMA_DEFAULT / SIGMA_PER_GAP
+"""Only gaps that would ask for less than the default matter."""
+
+CLEAN_LEVEL, CLEAN_GAP = 1.25, 2.5
+"""Learned as they are: waypoints that ask for at most this many times the noise level of their
+path, and whose gaps along the path are at most this many of it."""
+
+MOST_WAYPOINTS = 2_000
+"""More waypoints than this are never learned as they are: they cost time and add nothing."""
+
+SUPPORT_SPACING = 0.5
+"""Distance of the points on a line, in noise levels."""
+
+
+@dataclass(frozen=True, eq=False)
+class Strand:
+    """A line that is travelled from its first vertex to its last.
+
+    Attributes:
+        line: The polyline, normalised units.
+        piece: The piece of the network that it belongs to.
+        stops: Whether robots come to rest at its last vertex.
+    """
+
+    line: Piece
+    piece: int
+    stops: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,127 +68,168 @@ class Support:
 
     Attributes:
         points: (M, d).
-        pieces: Their spanning tree, in the direction of travel.
+        tangents: (M, d) unit vectors in the direction of travel.
         sigma: The noise level to learn at.
-        scales: Of the waypoints that were kept.
-        dropped: Number of waypoints that were left out as strays.
-        resampled: Whether the points are those of a spline instead of waypoints.
+        path: The lines, in the direction of travel.
+        ends: (E, d) where robots come to rest.
+        spacing: Mean distance of neighbouring waypoints along the path.
+        gap: Smallest distance between neighbouring strands; `WIDEST_GAP` where it is more.
+        waypoints: The number of waypoints on each line.
+        resampled: Whether the points lie evenly on the lines, in place of the waypoints.
     """
 
     points: FloatArray
-    pieces: tuple[TracedPiece, ...]
+    tangents: FloatArray
     sigma: float
-    scales: CloudScales
-    dropped: int
+    path: ReferencePath
+    ends: FloatArray
+    spacing: float
+    gap: float
+    waypoints: tuple[int, ...]
     resampled: bool
 
 
 def find_support(
-    waypoints: FloatArray, sigma: float | None = None, closed: bool | None = None
+    cloud: PointCloud, network: PathNetwork, sigma: float | None = None
 ) -> Support:
-    """Cleans a normalised cloud where it needs it.
+    """Chooses the noise level and the points to learn from.
+
+    The path asks for a noise level below a quarter of the gaps between its strands, and at
+    most `SIGMA_DEFAULT`; the waypoints ask for one above their spacing and scatter.  Points on
+    the lines need only heed the path.
 
     Args:
-        waypoints: (N, d).
-        sigma: The noise level, if it is given; None: it follows from the cloud.
-        closed: Whether all pieces are closed, or all open; None: what their tree says.
+        cloud: The waypoints.
+        network: What was found in them.
+        sigma: The noise level, normalised units; None: it follows from both.
     """
-    thinned = _thin(waypoints)
-    points = _without_strays(thinned)
-    pieces = trace_pieces(points)
-    if closed is not None:
-        pieces = tuple(with_ends(piece, points, closed) for piece in pieces)
-    scales = cloud_scales(points, pieces)
-    fine = sigma or scales.fine_sigma
-    lines = [main_line(points, piece, scales.noise) for piece in pieces]
-    strays = len(thinned) - len(points) + sum(line.strays for line in lines)
-    if any(line.has_branches for line in lines) or (
-        strays == 0
+    strands = list(_strands(cloud, network))
+    path = ReferencePath(tuple(strand.line for strand in strands))
+    points = np.unique(cloud.normalize(cloud.points), axis=0)
+    foot = path.project(points)
+    spacing = float(path.lengths.sum()) / len(points)
+    gap = _gap(strands, network)
+    fine = sigma or min(SIGMA_DEFAULT, SIGMA_PER_GAP * gap)
+    coarse = max(
+        SIGMA_PER_SPACING * spacing,
+        SIGMA_PER_SCATTER * network.scatter / network.unit_length,
+    )
+    arcs = [np.sort(foot.arc[foot.piece == k]) for k in range(len(strands))]
+    resampled = not (
+        network.dropped == 0
+        and len(points) <= MOST_WAYPOINTS
         # Where a path ends, its density has to fall as that of an even one does.
-        and all(piece.closed for piece in pieces)
-        and _is_clean([line.points for line in lines], scales, fine)
-    ):
-        level = sigma or max(fine, scales.coarse_sigma)
-        return Support(points, pieces, level, scales, strays, resampled=False)
-    parts = [
-        (part, piece.closed)
-        for line, piece in zip(lines, pieces, strict=True)
-        for part in (parted(line.points) if piece.closed else [line.points])
-    ]
-    chains = [_spline(part, closed, scales.noise, fine) for part, closed in parts]
-    traced = _chained(chains, [closed for _, closed in parts])
-    return Support(np.concatenate(chains), traced, fine, scales, strays, resampled=True)
-
-
-def _thin(points: FloatArray) -> FloatArray:
-    """Returns the mean waypoint of each cell of the finest grid that is coarse enough."""
-    if len(points) <= MAX_POINTS:
-        return points
-    cell = FIRST_CELL
-    while True:
-        cells, member, counts = np.unique(
-            np.floor(points / cell), axis=0, return_inverse=True, return_counts=True
+        and path.closed.all()
+        and coarse <= CLEAN_LEVEL * fine
+        and _widest_step(path, arcs) <= CLEAN_GAP * fine
+    )
+    if resampled:
+        level = fine
+        arcs = [_evenly(line, SUPPORT_SPACING * level) for line in path.pieces]
+        points = np.concatenate(
+            [line.at(arc) for line, arc in zip(path.pieces, arcs, strict=True)]
         )
-        if len(cells) <= MAX_POINTS:
-            break
-        cell *= np.sqrt(2)
-    means = np.zeros_like(cells)
-    np.add.at(means, member.reshape(-1), points)
-    means /= counts[:, None]
-    return means[counts >= STRAY_SHARE * np.median(counts)]
+        piece, arc = np.repeat(np.arange(len(arcs)), list(map(len, arcs))), np.concatenate(arcs)
+    else:
+        level = sigma or min(max(fine, coarse), SIGMA_CEILING)
+        piece, arc = foot.piece, foot.arc
+    tangents = np.empty_like(points)
+    for k, line in enumerate(path.pieces):
+        tangents[piece == k] = tangents_at(line, arc[piece == k], max(level, spacing))
+    stops = [strand.line.vertices[-1] for strand in strands if strand.stops]
+    return Support(
+        points,
+        tangents,
+        level,
+        path,
+        np.reshape(stops, (-1, cloud.dim)),
+        spacing,
+        gap,
+        tuple(np.bincount(foot.piece, minlength=len(strands)).tolist()),
+        resampled,
+    )
 
 
-def _without_strays(points: FloatArray) -> FloatArray:
-    distinct, of_point = np.unique(points, axis=0, return_inverse=True)
-    if len(distinct) <= STRAY_PIECE:
-        return points
-    distances, neighbours = cKDTree(distinct).query(distinct, k=STRAY_PIECE)
-    nearest = distances[:, 1]
-    typical = np.percentile(nearest[of_point.reshape(-1)], 90)
-    around = np.median(nearest[neighbours[:, 1:]], axis=1)
-    stray = (nearest > STRAY_DISTANCE * typical) & (nearest > STRAY_RATIO * around)
-    kept = points[~stray[of_point.reshape(-1)]]
-    pieces = [piece for piece in trace_pieces(kept) if len(piece.indices) >= STRAY_PIECE]
-    if not pieces:
-        return points
-    return kept[np.sort(np.concatenate([piece.indices for piece in pieces]))]
+def tangents_at(line: Piece, arc: FloatArray, width: float) -> FloatArray:
+    """Returns unit tangents (n, d) at arc lengths (n,): chords of twice the width.
+
+    They turn around a corner within the width, as the path of a robot does.
+    """
+    ends = (arc - width, arc + width)
+    if line.closed:
+        behind, ahead = (line.at(end % line.length) for end in ends)
+    else:
+        behind, ahead = (line.at(np.clip(end, 0, line.length)) for end in ends)
+    chords = ahead - behind
+    norm = np.linalg.norm(chords, axis=1, keepdims=True)
+    return np.divide(chords, norm, out=np.zeros_like(chords), where=norm > 0)
 
 
-def _is_clean(lines: Sequence[FloatArray], scales: CloudScales, fine: float) -> bool:
-    widest = max(float(steps_of(line).max(initial=0.0)) for line in lines)
-    return scales.coarse_sigma <= CLEAN_LEVEL * fine and widest <= CLEAN_GAP * fine
+def _strands(cloud: PointCloud, network: PathNetwork) -> Iterator[Strand]:
+    """The route of each piece that is one path; of other pieces every edge, outwards."""
+    for route in network.routes:
+        if network.is_one_way(route.piece):
+            yield Strand(_normalised(cloud, route.line), route.piece, not route.closed)
+    for piece in range(network.num_pieces):
+        if not network.is_one_way(piece):
+            yield from _outward(cloud, network, piece)
 
 
-def _spline(line: FloatArray, closed: bool, noise: float, sigma: float) -> FloatArray:
-    """Returns points evenly spaced on a smoothing spline through a line, (K, d)."""
-    if closed:
-        line = np.concatenate([line, line[:1]])
-    # Sparse waypoints say nothing between them: a line through them keeps their corners.
-    sparse = is_sparse(line)
-    degree = 1 if sparse else min(3, len(line) - 1)
-    # What noise across the path leaves as the sum of squared residuals.
-    budget = 0.0 if sparse else len(line) * (line.shape[1] - 1) * noise**2
-    bc = "periodic" if closed else None
-    with warnings.catch_warnings():
-        # Where the budget is not met to the last digit, what it returns is good enough.
-        warnings.simplefilter("ignore", RuntimeWarning)
-        spline, _ = make_splprep(line.T, k=degree, s=budget, bc_type=bc)
-    fine = spline(np.linspace(0, 1, 20 * len(line))).T
-    arc = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(fine, axis=0), axis=1))])
-    count = max(STRAY_PIECE, round(arc[-1] / (SPLINE_SPACING * sigma)))
-    at = np.linspace(0, arc[-1], count, endpoint=not closed)
-    return np.column_stack([np.interp(at, arc, column) for column in fine.T])
+def _outward(cloud: PointCloud, network: PathNetwork, piece: int) -> Iterator[Strand]:
+    """The edges of a branching piece, each away from its first end, or its first node."""
+    edges = [edge for edge in network.edges if edge.piece == piece and edge.nodes is not None]
+    graph = nx.Graph()
+    graph.add_weighted_edges_from((*edge.nodes, edge.length) for edge in edges if edge.nodes)
+    source = min(graph, key=lambda node: (network.nodes[node].kind != "end", node))
+    away = nx.single_source_dijkstra_path_length(graph, source)
+    for edge in edges:
+        assert edge.nodes is not None
+        first, last = edge.nodes
+        line = _normalised(cloud, edge.line)
+        if away[last] < away[first]:
+            line, last = Piece(line.vertices[::-1], line.closed), first
+        yield Strand(line, piece, stops=network.nodes[last].kind == "end")
 
 
-def _chained(chains: Sequence[FloatArray], closed: Sequence[bool]) -> tuple[TracedPiece, ...]:
-    """Returns the pieces of points that are already in order."""
-    traced = []
-    start = 0
-    for chain, loop in zip(chains, closed, strict=True):
-        indices = np.arange(start, start + len(chain))
-        arc = np.concatenate([[0], np.cumsum(steps_of(chain))])
-        closing = float(np.linalg.norm(chain[0] - chain[-1])) if loop else 0.0
-        edges = np.column_stack([indices[:-1], indices[1:]])
-        traced.append(TracedPiece(indices, arc, indices, edges, loop, float(arc[-1]) + closing))
-        start += len(chain)
-    return tuple(traced)
+def _normalised(cloud: PointCloud, line: Piece) -> Piece:
+    return Piece(cloud.normalize(line.vertices), line.closed)
+
+
+def _gap(strands: list[Strand], network: PathNetwork) -> float:
+    """The smallest distance between neighbouring strands, `WIDEST_GAP` at most.
+
+    Those of one piece that branches or crosses itself meet anyway.
+    """
+    step = WIDEST_GAP / 8
+    arcs = [_evenly(strand.line, step) for strand in strands]
+    points = np.concatenate([s.line.at(a) for s, a in zip(strands, arcs, strict=True)])
+    number = np.repeat(np.arange(len(strands)), list(map(len, arcs)))
+    arc = np.concatenate(arcs)
+    period = np.array([s.line.length if s.line.closed else np.inf for s in strands])
+    piece = np.array([s.piece for s in strands])
+    meets = np.array([not network.is_simple(s.piece) for s in strands])
+    first, second = cKDTree(points).query_pairs(WIDEST_GAP, output_type="ndarray").T
+    across = np.linalg.norm(points[first] - points[second], axis=1)
+    along = np.abs(arc[first] - arc[second])
+    along = np.minimum(along, period[number[first]] - along)
+    same = piece[number[first]] == piece[number[second]]
+    along[~same] = np.inf
+    along[same & meets[number[first]]] = 0.0
+    apart = along > np.maximum(STRAND_SEPARATION, STRAND_RATIO * across)
+    return float(across[apart].min(initial=WIDEST_GAP))
+
+
+def _evenly(line: Piece, step: float) -> FloatArray:
+    """Arc lengths in even steps, about as long as asked for, both ends of an open line too."""
+    count = max(3, round(line.length / step))
+    if line.closed:
+        return np.linspace(0, line.length, count, endpoint=False)
+    return np.linspace(0, line.length, count + 1)
+
+
+def _widest_step(path: ReferencePath, arcs: list[FloatArray]) -> float:
+    """The widest gap of waypoints along closed lines, from their arc lengths in order."""
+    return max(
+        float(np.diff(arc, append=arc[:1] + line.length).max(initial=0.0))
+        for line, arc in zip(path.pieces, arcs, strict=True)
+    )

@@ -2,13 +2,12 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 import time
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.spatial import cKDTree
 import torch
 
 from sgvf_drake.clouds import PointCloud
@@ -23,10 +22,8 @@ from sgvf_drake.fields import (
     ScoreNetwork,
 )
 from sgvf_drake.learning.config import Settings, TrainingConfig
-from sgvf_drake.learning.direction import directed
 from sgvf_drake.learning.networks import Network
 from sgvf_drake.learning.optimization import Optimization, optimize
-from sgvf_drake.learning.orientation import orientation_hint
 from sgvf_drake.learning.score_matching import Function, NoiseSchedule, mixture_score
 from sgvf_drake.learning.score_stage import (
     PAPER_BATCH_SIZE,
@@ -38,8 +35,10 @@ from sgvf_drake.learning.score_stage import (
     learn_score,
 )
 from sgvf_drake.learning.self_check import SelfCheck, check_field
-from sgvf_drake.learning.support import Support, find_support
+from sgvf_drake.learning.support import SIGMA_DEFAULT, SUPPORT_SPACING, Support, find_support
 from sgvf_drake.learning.tangent import paper_tangent_loss, robust_tangent_loss
+from sgvf_drake.paths import PathNetwork
+from sgvf_drake.paths.finding import find_paths
 from sgvf_drake.progress import Progress, no_progress
 
 ROBUST_TANGENT_LEARNING_RATE = 5e-3
@@ -52,7 +51,8 @@ class TrainingResult:
     Attributes:
         field: The field of the last attempt; check `self_check.passed`.
         settings: The configuration with every value filled in, those of the first attempt.
-        support: The points that were learned from, and the scales that were found.
+        network: What was found in the waypoints.
+        support: The points that were learned from.
         self_check: What following the field from the path itself showed.
         restarts: How many attempts failed their self-check before this one.
         history: Loss terms: columns stage, iteration, one a term, total.
@@ -62,6 +62,7 @@ class TrainingResult:
 
     field: GuidingField
     settings: Settings
+    network: PathNetwork
     support: Support
     self_check: SelfCheck
     restarts: int
@@ -71,12 +72,12 @@ class TrainingResult:
 
 
 def train(
-    cloud: PointCloud,
+    source: PointCloud | PathNetwork,
     config: TrainingConfig | None = None,
     progress: Progress = no_progress,
     score: ScoreNetwork | None = None,
 ) -> TrainingResult:
-    """Trains a guiding field for a cloud of waypoints.
+    """Trains a guiding field for a cloud of waypoints, or for a network that was found in one.
 
     After training, the field is followed from every piece and from around it; where that
     fails, training starts again with another seed, wider networks and more iterations, at
@@ -84,7 +85,8 @@ def train(
     with ``self_check.passed`` false.
 
     Args:
-        cloud: The waypoints, in any order and any unit.
+        source: The waypoints, in any order and any unit; or a network, whose lines are then
+            the waypoints.
         config: The recipe and its overrides; None: the robust recipe, seed 0.
         progress: Called with (stage, done, total) now and then.
         score: The `score_model` of a field that was trained on the same cloud at the same
@@ -93,25 +95,29 @@ def train(
             options of the score, the tangent is the one of a run that trains both.
 
     Raises:
-        ConfigurationError: The options do not fit the cloud, or the score does not.
+        PointCloudError: The waypoints show no path.
+        ConfigurationError: The options do not fit the cloud, or the score does not; or the
+            paths branch or cross, which no field of the position alone can follow.
     """
     wall, cpu = time.perf_counter(), time.process_time()
     config = config or TrainingConfig()
+    cloud, network = _paths_of(source, config)
     if score is not None:
         check_given_score(score, config.recipe, cloud.dim)
-    support = _directed_support(cloud, config)
+    support = find_support(cloud, network, config.sigma_min)
     settings = config.resolved(support.sigma)
     for attempt in range(settings.max_restarts + 1):
         with _torch_session(settings.seed, attempt):
             field, history = _train_once(
-                cloud, support, settings.grown(attempt), score, progress
+                cloud, network, support, settings.grown(attempt), score, progress
             )
-        self_check = check_field(field, support)
+        self_check = check_field(field, support.path)
         if self_check.passed:
             break
     return TrainingResult(
         field=field,
         settings=settings,
+        network=network,
         support=support,
         self_check=self_check,
         restarts=attempt,
@@ -121,27 +127,36 @@ def train(
     )
 
 
-def _directed_support(cloud: PointCloud, config: TrainingConfig) -> Support:
-    closed = None if config.open is None else not config.open
-    support = find_support(cloud.normalize(cloud.points), config.sigma_min, closed)
-    start = None
-    if config.start is not None:
-        if len(config.start) != cloud.dim:
+def _paths_of(
+    source: PointCloud | PathNetwork, config: TrainingConfig
+) -> tuple[PointCloud, PathNetwork]:
+    """Returns the waypoints and their network.
+
+    Raises:
+        ConfigurationError: If no field of the position alone can follow it.
+    """
+    if isinstance(source, PathNetwork):
+        if config.of_path != {}:
+            given = ", ".join(config.of_path)
+            raise ConfigurationError(f"{given}: a network has its own; find_paths takes it")
+        network = source
+        step = SUPPORT_SPACING * SIGMA_DEFAULT * network.unit_length
+        lines = [line.sample(max(3, round(line.length / step))) for line in network.path.pieces]
+        cloud = PointCloud(np.concatenate(lines))
+    else:
+        cloud, network = source, find_paths(source, **config.of_path)
+    for piece in range(network.num_pieces):
+        if not (network.is_simple(piece) or config.anyway):
             raise ConfigurationError(
-                f"start has {len(config.start)} coordinates, the waypoints have {cloud.dim}"
+                f"piece {piece + 1} is a {network.describe(piece)}: no field of the position "
+                "alone follows it; --anyway (anyway=True) trains one all the same"
             )
-        start = cloud.normalize(np.array(config.start))
-    velocities = None
-    if cloud.velocities is not None:
-        # Those of the nearest waypoint: the points may be new ones.
-        nearest = cKDTree(cloud.points).query(cloud.denormalize(support.points))[1]
-        velocities = cloud.velocities[nearest]
-    pieces = directed(support.points, support.pieces, config.direction, start, velocities)
-    return replace(support, pieces=pieces)
+    return cloud, network
 
 
 def _train_once(
     cloud: PointCloud,
+    network: PathNetwork,
     support: Support,
     settings: Settings,
     score: ScoreNetwork | None,
@@ -154,8 +169,7 @@ def _train_once(
     else:
         parts = _fit_robust(support, settings, score, progress)
         points = cloud.denormalize(support.points)
-        last = [piece.order[-1] for piece in support.pieces if not piece.closed]
-        ends = points[last] if last else None
+        ends = cloud.denormalize(support.ends) if len(support.ends) else None
     provenance: dict[str, Any] = {"training": asdict(settings)}
     if score is not None:
         provenance["score"] = "given"
@@ -169,6 +183,7 @@ def _train_once(
         seed=settings.seed,
         support=points,
         end_points=ends,
+        path_network=network,
         provenance=provenance,
     )
     return field, pd.concat(parts.histories, ignore_index=True)
@@ -187,7 +202,7 @@ class _Parts:
 def _fit_paper(
     points: FloatArray, settings: Settings, score: ScoreNetwork | None, progress: Progress
 ) -> _Parts:
-    """Algorithms 1 and 2 to the letter; the spanning tree is not asked."""
+    """Algorithms 1 and 2 to the letter; the network of paths is not asked."""
     dim = points.shape[1]
     data = torch.as_tensor(points, dtype=torch.float32)
     score, histories = learn_score(data, settings, score, progress)
@@ -223,7 +238,7 @@ def _fit_robust(
         score_model, histories = learn_score(data, settings, score, progress)
         frozen = frozen_score(score_model)
 
-    hint = torch.as_tensor(orientation_hint(points, support.pieces, sigma), dtype=torch.float32)
+    hint = torch.as_tensor(support.tangents, dtype=torch.float32)
     tangent = Network(
         dim,
         settings.tangent_hidden,

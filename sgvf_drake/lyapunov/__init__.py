@@ -21,7 +21,7 @@ from sgvf_drake.lyapunov.margin import Margins, inward_margins, to_level_set
 from sgvf_drake.lyapunov.samples import Samples, take_samples
 from sgvf_drake.lyapunov.sublevel import SublevelSet, sublevel_set
 from sgvf_drake.lyapunov.vanishing import NEAR_PATH, Vanishing, measure_vanishing
-from sgvf_drake.lyapunov.verification import Verification, Violation, learned_path, verify
+from sgvf_drake.lyapunov.verification import Verification, Violation, verify
 from sgvf_drake.lyapunov.winding import winding_number
 from sgvf_drake.lyapunov.zero_search import ZeroSearch, find_zeros
 from sgvf_drake.lyapunov.zeros import (
@@ -69,7 +69,6 @@ __all__ = [
     "find_zeros",
     "inward_margins",
     "kind_of",
-    "learned_path",
     "measure_vanishing",
     "robustness_bounds",
     "search_band",

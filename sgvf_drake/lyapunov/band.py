@@ -13,7 +13,7 @@ from sgvf_drake.fields.vectors import component_along
 from sgvf_drake.lyapunov.function import LyapunovFunction
 from sgvf_drake.lyapunov.samples import Samples
 from sgvf_drake.lyapunov.sublevel import SublevelSet, sublevel_set
-from sgvf_drake.paths import Reference
+from sgvf_drake.paths import ReferencePath
 from sgvf_drake.progress import Progress, no_progress
 
 SIGMA_RATIOS = (0.7, 1.0, 1.4, 2.0, 2.8)
@@ -65,7 +65,7 @@ class Band:
     c_out: float
     decrease: float
     tube: SublevelSet
-    reference: Reference
+    reference: ReferencePath
     box: tuple[FloatArray, FloatArray]
 
     @cached_property
@@ -82,7 +82,7 @@ class Band:
 def search_band(
     field: GuidingField,
     samples: Samples,
-    reference: Reference,
+    reference: ReferencePath,
     ratios: Sequence[float] = SIGMA_RATIOS,
     seed: int = 0,
     stops: FloatArray | None = None,
@@ -117,7 +117,7 @@ def find_band(
     field: GuidingField,
     function: LyapunovFunction,
     samples: Samples,
-    reference: Reference,
+    reference: ReferencePath,
     seed: int = 0,
     stops: FloatArray | None = None,
 ) -> Band | None:

@@ -8,7 +8,7 @@ from scipy import ndimage
 
 from sgvf_drake.arrays import BoolArray, FloatArray, IntArray
 from sgvf_drake.lyapunov.function import LyapunovFunction
-from sgvf_drake.paths import Reference
+from sgvf_drake.paths import ReferencePath
 
 # Cells of the raster to the half-width of the tube, which is sigma sqrt(2 c) where V is that
 # of a straight line, but no more of them to one noise level.
@@ -66,7 +66,7 @@ class SublevelSet:
 def sublevel_set(
     function: LyapunovFunction,
     level: float,
-    reference: Reference,
+    reference: ReferencePath,
     box: tuple[FloatArray, FloatArray],
 ) -> SublevelSet:
     """Returns the sublevel set of a level, found on a raster of cells over the box.
@@ -130,7 +130,7 @@ def _raster(
 def _pieces_in(
     labels: IntArray,
     points: FloatArray,
-    reference: Reference,
+    reference: ReferencePath,
     lower: FloatArray,
     step: float,
 ) -> Sequence[tuple[int, ...]]:

@@ -6,7 +6,6 @@ part is a comparison here, of the zeros of the score with places drawn evenly; t
 path is measured as the score sees it, after a blur.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,16 +13,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 import pandas as pd
 from scipy.ndimage import gaussian_filter1d
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 from scipy.stats import mannwhitneyu, spearmanr
 
 from sgvf_drake.arrays import BoolArray, FloatArray, IntArray
-from sgvf_drake.clouds import PointCloud
 from sgvf_drake.fields import GuidingField
 from sgvf_drake.lyapunov.zeros import FieldZeros, Singularities
-from sgvf_drake.paths import Piece, Reference, ReferencePath, TreeReference, trace_pieces
+from sgvf_drake.paths import Piece, ReferencePath
 
 NEAR_PATH = 3.0
 """A place is on the path, or near it, within this many noise levels."""
@@ -39,7 +35,7 @@ SIGNIFICANCE = 0.05
 # Curvatures of which the largest exceeds the median by less than this share are one.
 ALIKE = 0.01
 # Distance of neighbouring samples, and standard deviation of the blur along the path, in noise
-# levels: a corner is as sharp as its density, and the jags of a tree are smoothed out.
+# levels: a corner is as sharp as its density, and the jags of waypoints are smoothed out.
 SAMPLE_SPACING = 0.5
 BLUR = 2.0
 # Where the blur is cut off, in its standard deviations; nearer, its derivatives are biased.
@@ -48,8 +44,6 @@ REACH = 8.0
 FEWEST_SAMPLES = 8
 # A path whose radius is more than a thousand noise levels is straight.
 STRAIGHT = 1e-3
-# A branch of the tree is longer than this many noise levels; shorter ones are noise.
-BRANCH_LENGTH = 6.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +55,7 @@ class PathShape:
         tangents: (n, 2) unit vectors along the blurred path.
         curvature: (n,) of the blurred path, not negative, per unit of length; zero where it
             is straight.
-        branches: (B, 2) the waypoints at which the path branches.
+        branches: (B, 2) the places where the path branches.
     """
 
     points: FloatArray
@@ -98,7 +92,7 @@ class Vanishing:
 
 
 def measure_vanishing(
-    field: GuidingField, found: Singularities, reference: Reference
+    field: GuidingField, found: Singularities, reference: ReferencePath
 ) -> Vanishing:
     """Measures where the score of a planar field vanishes.
 
@@ -134,7 +128,7 @@ def measure_vanishing(
     S = np.linalg.norm(field.score(x), axis=1) * sigma
     log_density = field.mixture.log_density(x)
     near = reference.project(x).distance <= NEAR_PATH * sigma
-    shape = path_shape(reference, field.cloud, sigma)
+    shape = path_shape(reference, _junctions(field), sigma)
     score, guiding = (
         _surroundings(zeros, other, field, log_density, reference, shape)
         for zeros, other in ((found.score, found.guiding), (found.guiding, found.score))
@@ -205,7 +199,7 @@ def _surroundings(
     other: FieldZeros,
     field: GuidingField,
     log_density: FloatArray,
-    reference: Reference,
+    reference: ReferencePath,
     shape: PathShape,
 ) -> pd.DataFrame:
     """Looks around zeros; `log_density` is that at places drawn evenly from the box."""
@@ -250,29 +244,23 @@ def _share(chosen: BoolArray) -> float:
     return float(chosen.mean()) if len(chosen) else np.nan
 
 
-def path_shape(reference: Reference, cloud: PointCloud, sigma: float) -> PathShape:
+def _junctions(field: GuidingField) -> FloatArray:
+    """Returns where the paths of a field branch, (B, 2)."""
+    nodes = [node.place for node in field.network.nodes if node.kind == "junction"]
+    return np.reshape(nodes, (-1, 2))
+
+
+def path_shape(reference: ReferencePath, branches: FloatArray, sigma: float) -> PathShape:
     """Measures a path.
 
     Args:
-        reference: The path; of a tree, its longest path without the branches.
-        cloud: The waypoints, of whose tree the branches are taken.
+        reference: The path.
+        branches: (B, 2) where it branches.
         sigma: The noise level, in the same unit.
     """
-    samples = [_sample(piece, sigma) for piece in _polylines(reference)]
+    samples = [_sample(piece, sigma) for piece in reference.pieces]
     points, tangents, curvature = (np.concatenate(part) for part in zip(*samples, strict=True))
-    return PathShape(points, tangents, curvature, _branches(cloud.points, sigma))
-
-
-def _polylines(reference: Reference) -> Sequence[Piece]:
-    if isinstance(reference, ReferencePath):
-        return reference.pieces
-    assert isinstance(reference, TreeReference), type(reference)
-    # An isolated waypoint is no line.
-    return [
-        Piece(reference.points[piece.order], piece.closed)
-        for piece in reference.pieces
-        if len(piece.order) > 1
-    ]
+    return PathShape(points, tangents, curvature, branches)
 
 
 def _sample(piece: Piece, sigma: float) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -290,26 +278,3 @@ def _sample(piece: Piece, sigma: float) -> tuple[FloatArray, FloatArray, FloatAr
     bending = np.abs(cross) / speed**3
     bending[bending < STRAIGHT] = 0.0
     return points, along / speed[:, None], bending / sigma
-
-
-def _branches(points: FloatArray, sigma: float) -> FloatArray:
-    """Returns the waypoints at which long side branches leave the longest paths, (B, 2)."""
-    found = [np.empty(0, np.intp)]
-    for piece in trace_pieces(points):
-        first, second = piece.edges.T
-        lengths = np.linalg.norm(points[first] - points[second], axis=1)
-        # A sparse graph holds no edges of length zero, as between copies of a waypoint.
-        some = lengths > 0
-        graph = coo_array(
-            (lengths[some], (first[some], second[some])), shape=(len(points), len(points))
-        )
-        aside, _, source = dijkstra(
-            graph.tocsr(),
-            directed=False,
-            indices=piece.order,
-            min_only=True,
-            return_predecessors=True,
-        )
-        far = np.isfinite(aside) & (aside > BRANCH_LENGTH * sigma)
-        found.append(np.unique(source[far]))
-    return points[np.concatenate(found)]

@@ -21,7 +21,7 @@ from sgvf_drake.lyapunov.function import LyapunovFunction
 from sgvf_drake.lyapunov.margin import Margins, inward_margins
 from sgvf_drake.lyapunov.samples import Samples, take_samples
 from sgvf_drake.lyapunov.zeros import FieldZeros, Zero, find_guiding_zeros
-from sgvf_drake.paths import Reference, TreeReference, shape_path, trace_pieces
+from sgvf_drake.paths import ReferencePath
 from sgvf_drake.progress import Progress, no_progress
 
 # In the tube m has to be at least this long.
@@ -131,7 +131,7 @@ class Verification:
 
 def verify(
     field: GuidingField,
-    reference: Reference | None = None,
+    reference: ReferencePath | None = None,
     seed: int = 0,
     ratios: Sequence[float] = SIGMA_RATIOS,
     progress: Progress = no_progress,
@@ -140,7 +140,7 @@ def verify(
 
     Args:
         field: The field.
-        reference: The path, for its pieces and the width of the tube; None: `learned_path`.
+        reference: The path, for its pieces and the width of the tube; None: `field.path`.
         seed: Of the random samples.
         ratios: The noise levels of V to try, in those of the field.
         progress: Told how far it is.
@@ -148,7 +148,7 @@ def verify(
     Raises:
         ConfigurationError: The field is not planar.
     """
-    reference = learned_path(field) if reference is None else reference
+    reference = field.path if reference is None else reference
     samples = take_samples(field, seed)
     progress("sample", 1, 1)
     zeros = find_guiding_zeros(field)
@@ -183,19 +183,6 @@ def verify(
     )
 
 
-def learned_path(field: GuidingField) -> Reference:
-    """Returns the path that a field was made for: its named shape, or else a spanning tree.
-
-    The tree is that of the points whose score was learned, which are cleaned of noise and
-    strays, and is open where the field has an end.
-    """
-    if field.cloud.shape is not None:
-        return shape_path(field.cloud.shape)
-    points = field.mixture.points
-    tree = TreeReference(points, trace_pieces(points))
-    return tree.opened_at(field.ends, field.cloud.unit_length)
-
-
 def _at_end(field: GuidingField, x: FloatArray) -> BoolArray:
     """Returns whether points (n, d) are where a robot is to rest, (n,)."""
     if not len(field.ends):
@@ -221,7 +208,7 @@ class _Places:
     function: LyapunovFunction
     samples: Samples
     band: Band | None
-    reference: Reference
+    reference: ReferencePath
 
     def zeros(self, zeros: Sequence[Zero]) -> list[Violation]:
         """Returns zeros of m on the way, those that trap robots first."""

@@ -7,9 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from sgvf_drake.arrays import IntArray
 from sgvf_drake.clouds import PointCloud
 from sgvf_drake.experiments.clouds import true_path
 from sgvf_drake.experiments.follow import PathField
@@ -23,7 +21,8 @@ from sgvf_drake.fields import (
     PursuitField,
 )
 from sgvf_drake.paper.training import trained
-from sgvf_drake.paths import ReferencePath, TracedPiece, trace_pieces
+from sgvf_drake.paths import ReferencePath
+from sgvf_drake.paths.finding import find_paths
 
 NUM_POINTS = 200
 # U; the noise of the noisy clouds of the quality suites, whose half-extent is about 4.
@@ -31,8 +30,6 @@ NOISE = 0.05
 # U; shorter waves are taken for noise where a curve is smoothed.  Ten waypoints to a wave
 # leave about half of the noise, and cut a right-angled corner by 0.05 U.
 WAVELENGTH = 1.0
-# U; a side branch is longer than the one, and begins where it is the other off the main path.
-SIDE_BRANCH, BESIDE = 1.0, 0.3
 
 
 @dataclass(frozen=True)
@@ -82,30 +79,14 @@ def _learned(recipe: str) -> Callable[[PointCloud, int], PathField]:
 
 
 def _sorted_curves(cloud: PointCloud) -> list[FourierCurve]:
-    """Each piece of the spanning tree along its longest path, and its side branches."""
-    pieces = [piece for piece in trace_pieces(cloud.points) if len(piece.order) > 2]
-    curves = [FourierCurve.through(cloud, piece.order, piece.closed) for piece in pieces]
-    sides = [order for piece in pieces for order in _side_branches(cloud, piece)]
-    return curves + [FourierCurve.through(cloud, order, closed=False) for order in sides]
-
-
-def _side_branches(cloud: PointCloud, piece: TracedPiece) -> list[IntArray]:
-    """Returns the branches that the longest path leaves out, from the fork to the tip."""
-    main = cKDTree(cloud.points[piece.order])
-    rest = np.setdiff1d(piece.indices, piece.order)
-    # Nearer ones are waypoints of the longest path itself, beside it by their noise.
-    rest = rest[main.query(cloud.points[rest])[0] > BESIDE * cloud.unit_length]
-    if len(rest) < 3:
-        return []
-    branches = []
-    for branch in trace_pieces(cloud.points[rest]):
-        if branch.length < SIDE_BRANCH * cloud.unit_length:
-            continue
-        order = rest[branch.order]
-        distance, nearest = main.query(cloud.points[order[[0, -1]]])
-        outward = order if distance[0] <= distance[1] else order[::-1]
-        branches.append(np.append(piece.order[nearest[np.argmin(distance)]], outward))
-    return branches
+    """Each route of the network of a cloud, through its waypoints in their order on it."""
+    path = find_paths(cloud).path
+    foot = path.project(cloud.points)
+    by_arc = np.argsort(foot.arc, kind="stable")
+    return [
+        FourierCurve.through(cloud, by_arc[foot.piece[by_arc] == number], line.closed)
+        for number, line in enumerate(path.pieces)
+    ]
 
 
 def _smoothed(cloud: PointCloud) -> CurveField:

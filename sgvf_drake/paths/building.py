@@ -68,17 +68,13 @@ def number(
         key=lambda k: (edges[k].piece, sorted(edges[k].nodes or ()), edges[k].length),
     )
     edge_index = {k: number for number, k in enumerate(numbered)}
+    listed = tuple(edges[k] for k in numbered)
     found = [
-        Route(
-            tuple(edge_index[strand] for strand, _ in chain.arms),
-            chain.closed,
-            course.line,
-            piece_of[chain.arms[0][0]],
-        )
-        for chain, course in zip(routes, courses, strict=True)
+        Route.along([edge_index[strand] for strand, _ in chain.arms], listed, chain.closed)
+        for chain in routes
     ]
     found.sort(key=lambda route: (route.piece, min(route.edges)))
-    return nodes, tuple(edges[k] for k in numbered), tuple(found)
+    return nodes, listed, tuple(found)
 
 
 def piece_of_strands(

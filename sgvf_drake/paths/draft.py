@@ -12,7 +12,7 @@ from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.paths.assembly import Graph
 from sgvf_drake.paths.building import number, piece_of_strands, reversed_route
 from sgvf_drake.paths.geometry import chains, fit_courses, place_nodes
-from sgvf_drake.paths.network import PathNetwork
+from sgvf_drake.paths.network import PathNetwork, Route
 from sgvf_drake.paths.polyline import signed_area
 from sgvf_drake.paths.recording import Recording
 from sgvf_drake.paths.reference import Piece, ReferencePath
@@ -205,13 +205,14 @@ class Draft:
         kept = np.array([self._weights[course.waypoints].sum() for course in self._courses])
         variances = np.array([course.scatter**2 for course in self._courses])
         length = sum(course.line.length for course in self._courses)
+        edges = tuple(
+            replace(edge, line=self._moved(edge.line), scatter=edge.scatter * U)
+            for edge in edges
+        )
         network = PathNetwork(
             nodes=tuple(replace(node, place=cloud.denormalize(node.place)) for node in nodes),
-            edges=tuple(
-                replace(edge, line=self._moved(edge.line), scatter=edge.scatter * U)
-                for edge in edges
-            ),
-            routes=tuple(replace(route, line=self._moved(route.line)) for route in routes),
+            edges=edges,
+            routes=tuple(Route.along(route.edges, edges, route.closed) for route in routes),
             unit_length=U,
             sigma=self._sigma * U,
             scatter=float(np.sqrt((variances * kept).sum() / max(kept.sum(), 1))) * U,

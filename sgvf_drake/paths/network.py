@@ -3,8 +3,8 @@
 A path without crossings is a network too: one edge, with two ends or closed in itself.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 import json
 from os import PathLike
@@ -15,7 +15,7 @@ import numpy as np
 
 from sgvf_drake.arrays import FloatArray
 from sgvf_drake.exceptions import PointCloudError
-from sgvf_drake.paths.reference import Piece
+from sgvf_drake.paths.reference import Piece, ReferencePath
 
 FORMAT, VERSION = "sgvf-path-network", 1
 
@@ -80,6 +80,17 @@ class Route:
     line: Piece
     piece: int
 
+    @classmethod
+    def along(cls, numbers: Sequence[int], edges: Sequence[Edge], closed: bool) -> "Route":
+        """Returns the route that runs along edges of these numbers, which follow each other."""
+        own = [edges[number] for number in numbers]
+        line = own[0].line
+        if own[0].nodes is not None:
+            parts = [edge.line.vertices[:-1] for edge in own]
+            parts += [] if closed else [own[-1].line.vertices[-1:]]
+            line = Piece(np.concatenate(parts), closed)
+        return cls(tuple(numbers), closed, line, own[0].piece)
+
 
 @dataclass(frozen=True, eq=False)
 class PathNetwork:
@@ -115,6 +126,11 @@ class PathNetwork:
         return int(self.edges[0].line.vertices.shape[1])
 
     @cached_property
+    def path(self) -> ReferencePath:
+        """Its routes as the pieces of a path, those of the longest piece first."""
+        return ReferencePath(tuple(route.line for route in self.routes))
+
+    @cached_property
     def num_pieces(self) -> int:
         """The number of connected pieces."""
         return 1 + max(edge.piece for edge in self.edges)
@@ -143,6 +159,13 @@ class PathNetwork:
             n.kind == "junction" and n.piece == piece for n in self.nodes
         )
 
+    def is_simple(self, piece: int) -> bool:
+        """Whether a piece neither branches nor crosses itself.
+
+        Only then has each of its places one direction of travel, as in a vector field.
+        """
+        return not any(node.piece == piece and node.kind != "end" for node in self.nodes)
+
     def kind(self, piece: int) -> str:
         """What a piece is: "closed path", "open path" or "network"."""
         if not self.is_one_way(piece):
@@ -166,6 +189,23 @@ class PathNetwork:
         length = sum(edge.length for edge in self.edges if edge.piece == piece)
         return f"{kind}, length {length:.4g}" + (
             f", with {', '.join(counts)}" if counts else ""
+        )
+
+    def rescaled(self, factor: float) -> "PathNetwork":
+        """Returns the network in another unit of length: positions times `factor`."""
+        edges = tuple(
+            replace(edge, line=edge.line.rescaled(factor), scatter=edge.scatter * factor)
+            for edge in self.edges
+        )
+        return replace(
+            self,
+            nodes=tuple(replace(node, place=node.place * factor) for node in self.nodes),
+            edges=edges,
+            routes=tuple(Route.along(r.edges, edges, r.closed) for r in self.routes),
+            unit_length=self.unit_length * factor,
+            sigma=self.sigma * factor,
+            scatter=self.scatter * factor,
+            spacing=self.spacing * factor,
         )
 
     def to_json(self) -> dict[str, Any]:
@@ -201,13 +241,7 @@ class PathNetwork:
                 for edge in self.edges
             ],
             "routes": [
-                {
-                    "edges": list(route.edges),
-                    "closed": route.closed,
-                    "piece": route.piece,
-                    "points": route.line.vertices.tolist(),
-                }
-                for route in self.routes
+                {"edges": list(route.edges), "closed": route.closed} for route in self.routes
             ],
         }
 
@@ -221,41 +255,27 @@ class PathNetwork:
         if data.get("format") != FORMAT or data.get("version") != VERSION:
             raise PointCloudError(f"this is no {FORMAT} of version {VERSION}")
         try:
+            edges = tuple(
+                Edge(
+                    Piece(np.array(e["points"], float), closed=e["nodes"] is None),
+                    None if e["nodes"] is None else (e["nodes"][0], e["nodes"][1]),
+                    e["piece"],
+                    e["scatter"],
+                    e["weight"],
+                )
+                for e in data["edges"]
+            )
+            lengths = ("unit_length", "sigma", "scatter", "spacing")
             return cls(
                 nodes=tuple(
                     Node(np.array(n["place"], float), n["kind"], n["degree"], n["piece"])
                     for n in data["nodes"]
                 ),
-                edges=tuple(
-                    Edge(
-                        Piece(np.array(e["points"], float), closed=e["nodes"] is None),
-                        None if e["nodes"] is None else (e["nodes"][0], e["nodes"][1]),
-                        e["piece"],
-                        e["scatter"],
-                        e["weight"],
-                    )
-                    for e in data["edges"]
-                ),
+                edges=edges,
                 routes=tuple(
-                    Route(
-                        tuple(r["edges"]),
-                        r["closed"],
-                        Piece(np.array(r["points"], float), r["closed"]),
-                        r["piece"],
-                    )
-                    for r in data["routes"]
+                    Route.along(r["edges"], edges, r["closed"]) for r in data["routes"]
                 ),
-                **{
-                    name: data[name]
-                    for name in (
-                        "unit_length",
-                        "sigma",
-                        "scatter",
-                        "spacing",
-                        "dropped",
-                        "unsure",
-                    )
-                },
+                **{name: data[name] for name in (*lengths, "dropped", "unsure")},
                 messages=tuple(data["messages"]),
             )
         except (KeyError, TypeError, IndexError, ValueError) as error:

@@ -1,9 +1,5 @@
-"""What a run is measured against: the true path, or else the tree of its cloud.
+"""Polylines: the pieces of a path, and the path that a run is measured against."""
 
-The measurements alone use it; nothing that is trained ever sees a true path.
-"""
-
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,8 +11,6 @@ from scipy.spatial import cKDTree
 from sgvf_drake.arrays import BoolArray, FloatArray, IntArray
 from sgvf_drake.clouds import Origin, PointCloud
 from sgvf_drake.exceptions import PointCloudError
-from sgvf_drake.paths.ends import with_ends
-from sgvf_drake.paths.spanning_tree import TracedPiece, trace_pieces
 
 CLOSING_TOLERANCE = 1e-9
 """First and last point of a file are the same when this close, in parts of the extent."""
@@ -32,9 +26,6 @@ SAMPLES = 16_384
 
 PROJECTION_TOLERANCE = 1e-7
 """Error of a projected distance, in parts of the reference's half-extent (4 U)."""
-
-END_REACH = 1.0
-"""An end of a field belongs to a piece whose tree ends within this many U of it."""
 
 CHUNK = 65_536
 """Points that are projected at once, to bound the memory."""
@@ -61,7 +52,7 @@ class _Segments:
 
     Attributes:
         start: (S, d) first end of each segment.
-        end: (S, d) other end; equal to the first for an isolated point.
+        end: (S, d) other end.
         arc: (S, 2) arc length at both ends.
         piece: (S,) the piece that each belongs to.
     """
@@ -128,7 +119,7 @@ class _Segments:
         for segment in candidates.T:
             start, along = self.start[segment], (self.end - self.start)[segment]
             squared_length = (along**2).sum(axis=1)
-            # An isolated point has no direction: any t will do.
+            # Between vertices that coincide any t will do.
             squared_length[squared_length == 0] = 1.0
             t = np.clip(((x - start) * along).sum(axis=1) / squared_length, 0, 1)
             distance = np.sqrt(((x - start - t[:, None] * along) ** 2).sum(axis=1))
@@ -201,58 +192,14 @@ class Piece:
         """
         return self.at(np.linspace(0, self.length, n, endpoint=not self.closed))
 
-
-class Reference(ABC):
-    """A path in pieces, as the metrics see it."""
-
-    pieces: tuple[Piece, ...] | tuple[TracedPiece, ...]
-    messages: tuple[str, ...] = ()
-    """What was read, if it comes from a file, a line each."""
-
-    @property
-    @abstractmethod
-    def dim(self) -> int:
-        """The dimension d of the space."""
-
-    @property
-    def lengths(self) -> FloatArray:
-        """The length of each piece, (P,)."""
-        return np.array([piece.length for piece in self.pieces])
-
-    @property
-    def closed(self) -> BoolArray:
-        """Whether each piece is closed, (P,)."""
-        return np.array([piece.closed for piece in self.pieces])
-
-    @property
-    def longest(self) -> float:
-        """The length of the longest piece."""
-        return float(self.lengths.max())
-
-    @property
-    @abstractmethod
-    def waypoints(self) -> tuple[FloatArray, ...] | None:
-        """The waypoints (M, d) of each piece, if passing all of them is what makes a lap.
-
-        None where the arc length is known well enough to tell a lap by itself.
-        """
-
-    @abstractmethod
-    def first_and_last(self, piece: int) -> FloatArray:
-        """Returns the first and the last vertex of a piece, (2, d)."""
-
-    def project(self, x: FloatArray) -> Projection:
-        """Returns the nearest points of the path to `x` (n, d)."""
-        return self._segments.project(x)
-
-    @cached_property
-    @abstractmethod
-    def _segments(self) -> _Segments: ...
+    def rescaled(self, factor: float) -> "Piece":
+        """Returns the polyline in another unit of length: positions times `factor`."""
+        return Piece(self.vertices * factor, self.closed)
 
 
 @dataclass(frozen=True, eq=False)
-class ReferencePath(Reference):
-    """The true path: one or more polylines.
+class ReferencePath:
+    """A path as the metrics see it: one or more polylines.
 
     Attributes:
         pieces: The polylines, all in the same dimension.
@@ -305,14 +252,35 @@ class ReferencePath(Reference):
 
     @property
     def dim(self) -> int:
+        """The dimension d of the space."""
         return int(self.pieces[0].vertices.shape[1])
 
     @property
-    def waypoints(self) -> None:
-        """None: arc length tells a lap."""
+    def lengths(self) -> FloatArray:
+        """The length of each piece, (P,)."""
+        return np.array([piece.length for piece in self.pieces])
+
+    @property
+    def closed(self) -> BoolArray:
+        """Whether each piece is closed, (P,)."""
+        return np.array([piece.closed for piece in self.pieces])
+
+    @property
+    def longest(self) -> float:
+        """The length of the longest piece."""
+        return float(self.lengths.max())
 
     def first_and_last(self, piece: int) -> FloatArray:
+        """Returns the first and the last vertex of a piece, (2, d)."""
         return self.pieces[piece].vertices[[0, -1]]
+
+    def project(self, x: FloatArray) -> Projection:
+        """Returns the nearest points of the path to `x` (n, d)."""
+        return self._segments.project(x)
+
+    def rescaled(self, factor: float) -> "ReferencePath":
+        """Returns the path in another unit of length: positions times `factor`."""
+        return ReferencePath(tuple(piece.rescaled(factor) for piece in self.pieces))
 
     @cached_property
     def _segments(self) -> _Segments:
@@ -331,74 +299,3 @@ def _ends_meet(vertices: FloatArray, gap: float) -> bool:
     # Few vertices may be the corners of an open polygon, whose sides are as long as its gap.
     steps = np.linalg.norm(np.diff(vertices, axis=0), axis=1)
     return len(vertices) >= LONG_POLYLINE and gap <= MEETING_STEPS * float(np.median(steps))
-
-
-@dataclass(frozen=True, eq=False)
-class TreeReference(Reference):
-    """The spanning tree of a cloud, where the true path is not known.
-
-    All edges count, side branches too, and the closing edge of closed pieces: it is the one
-    edge of a loop that the tree leaves out.
-
-    Attributes:
-        points: (N, d) the cloud.
-        pieces: Its pieces; see `trace_pieces`.
-    """
-
-    points: FloatArray
-    pieces: tuple[TracedPiece, ...]
-
-    @property
-    def dim(self) -> int:
-        return int(self.points.shape[1])
-
-    @cached_property
-    def waypoints(self) -> tuple[FloatArray, ...]:
-        """The waypoints (M, d) of each piece: a lap passes all of them."""
-        return tuple(self.points[piece.indices] for piece in self.pieces)
-
-    def first_and_last(self, piece: int) -> FloatArray:
-        return self.points[self.pieces[piece].order[[0, -1]]]
-
-    @cached_property
-    def _segments(self) -> _Segments:
-        ends, arcs = zip(*(self._piece_segments(piece) for piece in self.pieces), strict=True)
-        pairs = np.concatenate(ends)
-        return _Segments(
-            self.points[pairs[:, 0]],
-            self.points[pairs[:, 1]],
-            np.concatenate(arcs),
-            np.repeat(np.arange(len(ends)), [len(pair) for pair in ends]),
-        )
-
-    def _piece_segments(self, piece: TracedPiece) -> tuple[IntArray, FloatArray]:
-        """Pairs of waypoints (S, 2) and their arc lengths (S, 2), isolated points too."""
-        if len(piece.edges) == 0:
-            return np.repeat(piece.indices[:1], 2)[None, :], np.zeros((1, 2))
-        arcs = piece.arc[np.searchsorted(piece.indices, piece.edges)]
-        if not piece.closed:
-            return piece.edges, arcs
-        closing_pair = piece.order[[-1, 0]]
-        closing_arc = [piece.arc[np.searchsorted(piece.indices, piece.order[-1])], piece.length]
-        return np.vstack([piece.edges, closing_pair]), np.vstack([arcs, closing_arc])
-
-    def opened_at(self, ends: FloatArray, unit_length: float) -> "TreeReference":
-        """Returns the same tree with its pieces open where a field has an end.
-
-        The user may have said so of a piece that looks closed.
-
-        Args:
-            ends: (E, d) where the field comes to rest.
-            unit_length: U; an end belongs to a piece that ends within `END_REACH` of it.
-        """
-        pieces = list(self.pieces)
-        for number, piece in enumerate(pieces):
-            between = np.linalg.norm(ends[:, None] - self.first_and_last(number), axis=2)
-            if between.min(initial=np.inf) < END_REACH * unit_length:
-                pieces[number] = with_ends(piece, self.points, closed=False)
-        return TreeReference(self.points, tuple(pieces))
-
-
-def tree_reference(cloud: PointCloud) -> TreeReference:
-    """Makes a reference of the spanning tree of a cloud."""
-    return TreeReference(cloud.points, trace_pieces(cloud.points))
