@@ -23,20 +23,20 @@ INTRODUCTION = """\
 # What the experiments found
 
 This page is made from the rows of a full run of `sgvf reproduce`
-(`python -m sgvf_drake.paper.findings docs/results`), and a test holds it to them. Intervals are
-95 % over the seeds; U is an eighth of the path's extent. A verdict follows by a rule in code from
-the figures that stand with the claim in the section of its experiment.
+(`python -m sgvf_drake.paper.findings docs/results`), and a test holds it to them. Intervals
+are 95 % over the seeds; U is an eighth of the path's extent. A verdict follows by a rule in
+code from the figures that stand with the claim in the section of its experiment.
 """
 
 PICTURES = {
     "fig4_ablation": (
-        "The tangent field complete and without each loss, by the shallow and the deep network: "
-        "triangles where it turns around",
+        "The tangent field complete and without each loss, by the shallow and the deep "
+        "network: triangles where it turns around",
         "ablation.png",
     ),
     "fig6_corners": (
-        "Where agents stall: a square and a hexagon by the shallow network, a hexagon by the deep "
-        "one, a square by the robust recipe",
+        "Where agents stall: a square and a hexagon by the shallow network, a hexagon by the "
+        "deep one, a square by the robust recipe",
         "corners.png",
     ),
 }
