@@ -53,8 +53,9 @@ def _has_empty_middle(line: Piece, arc: FloatArray, points: FloatArray) -> bool:
     """Whether waypoints (n, d), in the order of their arc lengths, leave a stretch empty."""
     offset = points - line.at(arc)
     mode = "wrap" if line.closed else "nearest"
-    squares = uniform_filter1d((offset**2).sum(axis=1), min(NEIGHBOURHOOD, len(arc)), mode=mode)
-    middle = np.linalg.norm(offset, axis=1) < MIDDLE * np.sqrt(squares)
+    squares = (offset**2).sum(axis=1)
+    around = uniform_filter1d(squares, min(NEIGHBOURHOOD, len(arc)), mode=mode)
+    middle = squares < MIDDLE**2 * around
     borders = np.flatnonzero(np.concatenate([[True], middle, [True]]))
     longest = np.log(CHANCE / (MIDDLE_SHARE * len(arc))) / np.log(1 - MIDDLE_SHARE)
     for first, last in zip(borders[:-1], borders[1:] - 1, strict=True):
@@ -64,7 +65,7 @@ def _has_empty_middle(line: Piece, arc: FloatArray, points: FloatArray) -> bool:
         changes = ((run[1:] * run[:-1]).sum(axis=1) < 0).mean()
         # Each of the strands has half of the waypoints.
         spacing = 2 * (arc[last - 1] - arc[first]) / (last - first - 1)
-        apart = 2 * np.sqrt((run**2).sum(axis=1).mean())
+        apart = 2 * np.sqrt(squares[first:last].mean())
         if changes > FEWEST_CHANGES and apart > TOLD_APART * spacing:
             return True
     return False
