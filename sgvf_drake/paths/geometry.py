@@ -34,6 +34,10 @@ CLEAN = 0.1
 BUNDLE = 3.0
 """Waypoints that scatter by this many spacings are of several passes, with an end each."""
 
+ALONE, DETOUR = 1.3, 1.5
+"""A waypoint is a stray, and no corner, if it is this many steps away from both neighbours and
+to visit it is a detour of this many; nine of ten steps of the line are no longer than one."""
+
 BANDWIDTH = 1.5
 """Standard deviation of the kernel of a fit, in spacings or scatters, whichever is larger."""
 
@@ -234,6 +238,9 @@ def _fit(
     if period is None and float(np.median(scatter)) > BUNDLE * spacing:
         fitted = _without_overhang(own, pinned, step=2 * sigma)
         scatter = local_scatter(fitted.arc, fitted.points, period)
+    as_they_are = spacing > SPARSE or float(np.median(scatter)) < CLEAN * spacing
+    if as_they_are:
+        own = fitted = _without_spikes(fitted, rough.closed)
     u, x, w = _averaged(fitted, rough.length / MOST_FITTED)
     for s in pinned:
         at = int(s > 0) * len(u)
@@ -241,7 +248,6 @@ def _fit(
         x = np.insert(x, at, rough.at(np.array([s])), axis=0)
     first, last = (0.0, rough.length) if rough.closed else (u[0], u[-1])
     marks = np.clip(marks, first, last)
-    as_they_are = spacing > SPARSE or float(np.median(scatter)) < CLEAN * spacing
     count = int(np.ceil((last - first) * SAMPLES_PER_SIGMA / sigma)) + 2
     samples = np.union1d(marks, u if as_they_are else np.linspace(first, last, count))
     samples = samples[samples < last] if rough.closed else samples
@@ -275,6 +281,24 @@ def _without_overhang(own: Ordered, pinned: list[float], step: float) -> Ordered
     first = own.arc[0] if 0.0 in pinned else edges[full[0]]
     last = own.arc[-1] if any(s > 0 for s in pinned) else edges[full[-1] + 1]
     kept = (own.arc >= first) & (own.arc <= last)
+    return Ordered(own.index[kept], own.arc[kept], own.points[kept], own.weights[kept])
+
+
+def _without_spikes(own: Ordered, closed: bool) -> Ordered:
+    """Leaves out the waypoints beside a line that runs through all others; the worst first."""
+    step = float(np.percentile(np.linalg.norm(np.diff(own.points, axis=0), axis=1), 90))
+    kept = np.arange(len(own.index))
+    while len(kept) > RUN:
+        x = own.points[kept]
+        before, after = np.roll(x, 1, axis=0), np.roll(x, -1, axis=0)
+        back, ahead = np.linalg.norm(x - before, axis=1), np.linalg.norm(x - after, axis=1)
+        detour = back + ahead - np.linalg.norm(after - before, axis=1)
+        stray = (np.minimum(back, ahead) > ALONE * step) & (detour > DETOUR * step)
+        if not closed:
+            stray[[0, -1]] = False
+        if not stray.any():
+            break
+        kept = np.delete(kept, int(np.argmax(np.where(stray, detour, 0))))
     return Ordered(own.index[kept], own.arc[kept], own.points[kept], own.weights[kept])
 
 
