@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.ndimage import median_filter
+from scipy.ndimage import median_filter, percentile_filter
 from scipy.stats import chi2
 
 from sgvf_drake.arrays import FloatArray, IntArray
@@ -36,7 +36,11 @@ BUNDLE = 3.0
 
 ALONE, DETOUR = 1.3, 1.5
 """A waypoint is a stray, and no corner, if it is this many steps away from both neighbours and
-to visit it is a detour of this many; nine of ten steps of the line are no longer than one."""
+to visit it is a detour of this many."""
+
+STEPS, STEP_PERCENTILE = 21, 75
+"""Three of four steps of a line around a place are no longer than one: each stray makes two
+that are."""
 
 BANDWIDTH = 1.5
 """Standard deviation of the kernel of a fit, in spacings or scatters, whichever is larger."""
@@ -286,13 +290,15 @@ def _without_overhang(own: Ordered, pinned: list[float], step: float) -> Ordered
 
 def _without_spikes(own: Ordered, closed: bool) -> Ordered:
     """Leaves out the waypoints beside a line that runs through all others; the worst first."""
-    step = float(np.percentile(np.linalg.norm(np.diff(own.points, axis=0), axis=1), 90))
+    steps = np.linalg.norm(np.diff(own.points, axis=0, append=own.points[:1]), axis=1)
+    around = percentile_filter(steps, STEP_PERCENTILE, STEPS, mode="wrap")
     kept = np.arange(len(own.index))
     while len(kept) > RUN:
         x = own.points[kept]
         before, after = np.roll(x, 1, axis=0), np.roll(x, -1, axis=0)
         back, ahead = np.linalg.norm(x - before, axis=1), np.linalg.norm(x - after, axis=1)
         detour = back + ahead - np.linalg.norm(after - before, axis=1)
+        step = around[kept]
         stray = (np.minimum(back, ahead) > ALONE * step) & (detour > DETOUR * step)
         if not closed:
             stray[[0, -1]] = False

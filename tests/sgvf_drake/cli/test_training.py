@@ -182,11 +182,11 @@ def test_each_piece_has_its_direction(quick):
 def test_shapes_are_listed_and_sampled_as_asked(run, inputs, quick, tmp_path, capsys):
     assert run("shapes") == 0
     assert "concentric-flight" in capsys.readouterr().out.split()
-    more = ("--num-points", 70, "--noise", 0.02, "--sampling", "random", "--seed", 4)
+    more = ("--num-points", 120, "--noise", 0.02, "--sampling", "random", "--seed", 4)
     few = ("--recipe", "exact", "--tangent-iterations", 1, "--max-restarts", 0)
     assert run("train", "--shape", "star", *more, *few, "--out", tmp_path / "out") == 0
     cloud = load_field(tmp_path / "out" / "field.safetensors").cloud
-    expected, _ = make_shape("star", 70, noise=0.02, seed=4, sampling="random")
+    expected, _ = make_shape("star", 120, noise=0.02, seed=4, sampling="random")
     assert (cloud.digest, cloud.shape) == (expected.digest, "star")
     assert PointCloud.read(inputs / "ring.csv").digest != cloud.digest
 
@@ -222,7 +222,7 @@ BAD = [
     ("--points arc.csv --direction cw,-,cw", "direction has 3 entries", "1 piece"),
     (
         "--points arc.csv --open --direction cw",
-        *("direction 'cw'", "closed pieces in the plane"),
+        *("direction 'cw'", "closed paths in the plane"),
     ),
     ("--points arc.csv --start 1;2", "--start", "'1;2'"),
     ("--points arc.csv --start 1", "--start", "'1'"),

@@ -8,6 +8,7 @@ from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
 from sgvf_drake.experiments import choose_reference, follow
 from sgvf_drake.paths import Piece, ReferencePath
+from sgvf_drake.paths.finding import find_paths
 from systems import MakeKinematicDiagram, MakeSimulator, SetPositions
 
 
@@ -21,6 +22,10 @@ class LineField:
         self.cloud = PointCloud(np.column_stack([np.linspace(-3, 3, 61), np.zeros(61)]))
         self.terminal = np.array([terminal, 0.0])
         self.ends = self.terminal[None, :] if declared else np.empty((0, 2))
+
+    @property
+    def path(self):
+        return find_paths(self.cloud).path
 
     def __call__(self, x):
         along = np.tanh((self.terminal[0] - x[:, 0]) / 0.2) / np.cosh(3 * x[:, 1])

@@ -78,7 +78,7 @@ def test_the_pictures_are_drawn(found):
 
 def test_a_field_without_zeros(make_field, tmp_path):
     field = make_field("robust")
-    reference = field.path, "cloud"
+    reference = field.network.path, "cloud"
     summary = run_singularities(field, reference, tmp_path / "out")
     assert [zero for zero in summary["zeros"] if zero["field"] != "tangent"] == []
     assert summary["vanishing"]["low_density"] is None

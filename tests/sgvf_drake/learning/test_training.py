@@ -295,8 +295,8 @@ def checks(monkeypatch, *results):
     """Replaces the self-check by given results; returns the fields that it saw."""
     seen, rest = [], list(results)
 
-    def check(field, support):
-        assert support.sigma == field.sigma
+    def check(field, path):
+        assert path.dim == field.dim
         seen.append(field)
         return rest.pop(0)
 
@@ -404,7 +404,7 @@ def test_what_is_learned_from_is_kept_with_the_field(concentric):
     np.testing.assert_array_equal(support, cloud.denormalize(result.support.points))
     assert result.field.end_points is None
     # Noisy waypoints are replaced; the paper's recipe takes them as they are.
-    noisy, path = make_shape("circle", 40, noise=0.05)
+    noisy, path = make_shape("circle", 100, noise=0.05)
     support = train(noisy, short(1)).field.support
     assert len(support) > 100
     assert path.project(support).distance.max() < 0.2

@@ -24,7 +24,9 @@ def hairpin(gap, noise, count=200, seed=0):
 def strip(width, count=400, seed=0):
     """A straight path whose waypoints are spread evenly across this width."""
     rng = np.random.default_rng(seed)
-    return np.column_stack([rng.uniform(0, 8, count), rng.uniform(-width / 2, width / 2, count)])
+    return np.column_stack(
+        [rng.uniform(0, 8, count), rng.uniform(-width / 2, width / 2, count)]
+    )
 
 
 @pytest.mark.parametrize("seed", range(3))
