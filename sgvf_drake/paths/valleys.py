@@ -19,7 +19,7 @@ MIDDLE, MIDDLE_SHARE = 0.5, 0.29
 """Of points that are spread evenly across a line, this share lies nearer to it than half of
 their RMS distance; of a Gaussian spread more do."""
 
-CHANCE = 1e-3
+CHANCE = 1e-2
 """That so many waypoints in turn are not in the middle by accident."""
 
 FEWEST_CHANGES = 0.25
