@@ -4,6 +4,8 @@ The ridge of the density is found on a ladder of scales.  Each scale votes for t
 that it shows; the finest of those with nearly the most votes is taken.  In the plane, the
 persistence of the alpha complex tells the number of loops independently.  Where few scales
 agree, or both ways differ, the network is returned all the same, and says that it is unsure.
+
+Through sparse waypoints run the shortest paths instead, where none other are nearly as short.
 """
 
 from collections import defaultdict
@@ -23,6 +25,7 @@ from sgvf_drake.paths.loops import Holes, find_holes
 from sgvf_drake.paths.network import PathNetwork
 from sgvf_drake.paths.ridge import THINNING_CELL, find_ridge, thin
 from sgvf_drake.paths.skeleton import grow_skeleton
+from sgvf_drake.paths.sparse import SparsePaths, find_sparse_paths
 
 FINEST_SCALE, COARSEST_SCALE = 0.02, 0.75
 """The ladder, in U: at the coarsest, circles of diameter 2.25 U are still seen as loops."""
@@ -108,12 +111,17 @@ def find_paths(
     # The topology does not depend on the order of the points, not even in its last digit.
     points = cloud.normalize(cloud.points)
     points = points[np.lexsort(points.T[::-1])]
-    sigmas = [sigma] if sigma is not None else _ladder(points)
     weights = np.ones(len(points))
-    if len(points) > MANY_POINTS:
-        points, weights = thin(points, weights, THINNING_CELL * sigmas[0])
-    scales = [_at_scale(points, weights, s) for s in sigmas]
-    chosen, unsure = _vote(points, scales, passes)
+    sparse = None if passes or sigma is not None else find_sparse_paths(points)
+    chosen, unsure = _from_sparse(sparse, points) if sparse is not None else None, None
+    if chosen is None:
+        sigmas = [sigma] if sigma is not None else _ladder(points)
+        if len(points) > MANY_POINTS:
+            points, weights = thin(points, weights, THINNING_CELL * sigmas[0])
+        scales = [_at_scale(points, weights, s) for s in sigmas]
+        chosen, unsure = _vote(points, scales, passes)
+        if sparse is not None:
+            unsure = unsure or sparse.objection(chosen.graph)
     draft = Draft(cloud, points, weights, chosen.graph, chosen.sigma)
     draft.use_recording(closed)
     draft.give_directions(direction, start)
@@ -149,6 +157,13 @@ def _at_scale(points: FloatArray, weights: FloatArray, sigma: float) -> Scale:
     ridge = find_ridge(points, weights, sigma)
     skeleton = grow_skeleton(ridge, points, weights, sigma)
     return Scale(sigma, assemble(skeleton, sigma), skeleton.reach)
+
+
+def _from_sparse(sparse: SparsePaths, points: FloatArray) -> Scale | None:
+    """The paths through sparse waypoints, where they are sure and the holes show them too."""
+    scale = Scale(SCALE_PER_SPACING * sparse.step, sparse.graph, sparse.gap)
+    sure = sparse.sure and _agrees(sparse.graph.signature, _holes(points), scale)
+    return scale if sure else None
 
 
 def _vote(
