@@ -25,7 +25,7 @@ from sgvf_drake.paths.loops import Holes, find_holes
 from sgvf_drake.paths.network import PathNetwork
 from sgvf_drake.paths.ridge import THINNING_CELL, find_ridge, thin
 from sgvf_drake.paths.skeleton import grow_skeleton
-from sgvf_drake.paths.sparse import SparsePaths, find_sparse_paths
+from sgvf_drake.paths.sparse import DOUBT, SparsePaths, find_sparse_paths
 
 FINEST_SCALE, COARSEST_SCALE = 0.02, 0.75
 """The ladder, in U: at the coarsest, circles of diameter 2.25 U are still seen as loops."""
@@ -113,15 +113,16 @@ def find_paths(
     points = points[np.lexsort(points.T[::-1])]
     weights = np.ones(len(points))
     sparse = None if passes or sigma is not None else find_sparse_paths(points)
-    chosen, unsure = _from_sparse(sparse, points) if sparse is not None else None, None
-    if chosen is None:
+    if sparse is not None and sparse.decide:
+        chosen, unsure = _from_sparse(sparse, points)
+    else:
         sigmas = [sigma] if sigma is not None else _ladder(points)
         if len(points) > MANY_POINTS:
             points, weights = thin(points, weights, THINNING_CELL * sigmas[0])
         scales = [_at_scale(points, weights, s) for s in sigmas]
         chosen, unsure = _vote(points, scales, passes)
-        if sparse is not None:
-            unsure = unsure or sparse.objection(chosen.graph)
+        if sparse is not None and not sparse.agree(chosen.graph):
+            unsure = unsure or DOUBT
     draft = Draft(cloud, points, weights, chosen.graph, chosen.sigma)
     draft.use_recording(closed)
     draft.give_directions(direction, start)
@@ -159,11 +160,11 @@ def _at_scale(points: FloatArray, weights: FloatArray, sigma: float) -> Scale:
     return Scale(sigma, assemble(skeleton, sigma), skeleton.reach)
 
 
-def _from_sparse(sparse: SparsePaths, points: FloatArray) -> Scale | None:
-    """The paths through sparse waypoints, where they are sure and the holes show them too."""
+def _from_sparse(sparse: SparsePaths, points: FloatArray) -> tuple[Scale, str | None]:
+    """The paths through sparse waypoints, and why they are unsure, if they are."""
     scale = Scale(SCALE_PER_SPACING * sparse.step, sparse.graph, sparse.gap)
     sure = sparse.sure and _agrees(sparse.graph.signature, _holes(points), scale)
-    return scale if sure else None
+    return scale, None if sure else DOUBT
 
 
 def _vote(

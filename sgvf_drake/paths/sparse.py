@@ -39,6 +39,11 @@ GAP = 3.0
 """Paths end where the next waypoint is more than this many steps away; one of 40 random gaps is
 so long with a chance of 4 %."""
 
+DOUBT = (
+    "the waypoints are too sparse to tell these paths from others; more waypoints would "
+    "decide, or a scale to look at (sigma)"
+)
+
 MARGIN = 1.0
 """Paths that would be shorter than this many steps more may be right too."""
 
@@ -74,28 +79,29 @@ class SparsePaths:
     margin: float
 
     @property
+    def decide(self) -> bool:
+        """Whether strands do not meet, as far as these paths show."""
+        return self.margin >= MEETING * self.step
+
+    @property
     def sure(self) -> bool:
         """Whether no other paths are nearly as short."""
         return self.margin >= MARGIN * self.step
 
-    def objection(self, ridge: Graph) -> str | None:
-        """Why the paths of a ridge may be wrong, where these are not sure either.
+    def agree(self, ridge: Graph) -> bool:
+        """Whether a ridge runs along the waypoints, and shows where strands meet, if not these.
 
-        The ridge may be right where strands meet, if it shows that and has not merged strands.
+        What it merges at a coarse scale is neither these paths nor what they cannot show.
         """
-        found, own = ridge.signature, self.graph.signature
-        meets = self.margin < MEETING * self.step and (found.junctions or found.crossings)
+        found = ridge.signature
         lines = (
             Piece(strand.path[strand.ends is None :], strand.ends is None)
             for strand in ridge.strands.values()
         )
         aside = ReferencePath(tuple(lines)).project(self.points).distance
-        if np.quantile(aside, SHARE_NEAR) < ASIDE * self.step and (meets or found == own):
-            return None
-        return (
-            f"the waypoints are sparse, and the shortest paths through them, with {own}, are "
-            "hardly shorter than others; more waypoints would decide, or a scale to look at "
-            "(sigma)"
+        return bool(
+            np.quantile(aside, SHARE_NEAR) < ASIDE * self.step
+            and (found.junctions or found.crossings or found == self.graph.signature)
         )
 
 
@@ -110,8 +116,12 @@ def find_sparse_paths(points: FloatArray) -> SparsePaths | None:
         return None
     step = float(np.percentile(tree, STEP_PERCENTILE))
     gap = GAP * step
-    tours = Tours([_greedy_tour(distance)], distance, math.inf).shortened()
-    tours = Tours(tours.cycles, distance, gap).shortened()
+    # The best exchange may lead astray: at tips without gaps, at ends without the tips.
+    greedy = [_greedy_tour(distance)]
+    starts = greedy, Tours(greedy, distance, math.inf).shortened().cycles
+    tours = min(
+        (Tours(start, distance, gap).shortened() for start in starts), key=lambda t: t.cost
+    )
     return SparsePaths(points, _graph(points, tours), step, gap, tours.margin())
 
 
@@ -137,6 +147,7 @@ class Tours:
         sizes = np.array([len(cycle) for cycle in cycles])
         self._cycle = np.repeat(np.arange(len(cycles)), sizes)
         self._steps, self._is_gap = distance[a, b], cost[a, b] >= gap
+        self.cost = float(cost[a, b].sum())
         before = cost[a, b][:, None] + cost[a, b]
         across = cost[np.ix_(a, b)]
         self._turned = before - cost[np.ix_(a, a)] - cost[np.ix_(b, b)]
@@ -180,13 +191,15 @@ class Tours:
         return np.roll(self.cycles[k], int(np.argmax(self._cycle == k)) - step - 1)
 
     def margin(self) -> float:
-        """What paths cost more that differ: by an exchange, or by the width of a gap."""
+        """How much longer the next best paths are."""
         # Where both steps are gaps, an exchange changes no path.
         changes = self._matters & ~(self._is_gap & self._is_gap[:, None])
-        saved = np.maximum(self._turned, self._crossed)[changes]
-        alone = self._steps == 0
-        widths = np.abs(self._steps - self._gap)[~alone]
-        return float(min((-saved).min(initial=math.inf), widths.min(initial=math.inf)))
+        exchanged = -np.maximum(self._turned, self._crossed)[changes]
+        widths = np.abs(self._steps - self._gap)[self._steps > 0]
+        # A short loop may be an open path, there and back, which would cost a gap instead.
+        loops = [self._steps[self._cycle == k] for k in range(len(self.cycles))]
+        opened = [loop.sum() / 2 - self._gap for loop in loops if loop.max() < self._gap]
+        return float(min(math.inf, *exchanged, *widths, *opened))
 
     def paths(self) -> list[tuple[IntArray, bool]]:
         """The points of each path in order, and whether it is closed."""
