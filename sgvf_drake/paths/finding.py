@@ -5,7 +5,8 @@ that it shows; the finest of those with nearly the most votes is taken.  In the 
 persistence of the alpha complex tells the number of loops independently.  Where few scales
 agree, or both ways differ, the network is returned all the same, and says that it is unsure.
 
-Through sparse waypoints run the shortest paths instead, where none other are nearly as short.
+The paths through sparse waypoints are the shortest ones instead, unless the ridge shows where
+strands meet.
 """
 
 from collections import defaultdict
@@ -113,7 +114,7 @@ def find_paths(
     points = points[np.lexsort(points.T[::-1])]
     weights = np.ones(len(points))
     sparse = None if passes or sigma is not None else find_sparse_paths(points)
-    if sparse is not None and sparse.decide:
+    if sparse is not None and sparse.apart:
         chosen, unsure = _from_sparse(sparse, points)
     else:
         sigmas = [sigma] if sigma is not None else _ladder(points)
@@ -121,8 +122,8 @@ def find_paths(
             points, weights = thin(points, weights, THINNING_CELL * sigmas[0])
         scales = [_at_scale(points, weights, s) for s in sigmas]
         chosen, unsure = _vote(points, scales, passes)
-        if sparse is not None and not sparse.agree(chosen.graph):
-            unsure = unsure or DOUBT
+        if sparse is not None and not sparse.meet_in(chosen.graph):
+            chosen, unsure = _from_sparse(sparse, points)
     draft = Draft(cloud, points, weights, chosen.graph, chosen.sigma)
     draft.use_recording(closed)
     draft.give_directions(direction, start)

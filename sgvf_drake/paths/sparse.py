@@ -3,7 +3,7 @@
 Below the spacing of its waypoints a density falls apart, so the ridge of a sparse cloud is seen
 at scales that round its tips and merge its strands.  But the shortest tour through the samples
 of a curve visits them in their order, where they are dense enough for its bends and for the
-distance of its strands (Giesen, Discrete and Computational Geometry, 1999).
+distance of its strands (Giesen, Symposium on Computational Geometry, 1999).
 
 Here there may be several tours, and no step costs more than a gap: the steps that would are
 where paths end.  As long as it saves length, two steps are exchanged for two others (2-opt),
@@ -79,8 +79,8 @@ class SparsePaths:
     margin: float
 
     @property
-    def decide(self) -> bool:
-        """Whether strands do not meet, as far as these paths show."""
+    def apart(self) -> bool:
+        """Whether strands keep apart, as far as these paths can tell."""
         return self.margin >= MEETING * self.step
 
     @property
@@ -88,21 +88,18 @@ class SparsePaths:
         """Whether no other paths are nearly as short."""
         return self.margin >= MARGIN * self.step
 
-    def agree(self, ridge: Graph) -> bool:
-        """Whether a ridge runs along the waypoints, and shows where strands meet, if not these.
+    def meet_in(self, ridge: Graph) -> bool:
+        """Whether strands meet in a ridge, which these paths cannot show.
 
-        What it merges at a coarse scale is neither these paths nor what they cannot show.
+        It runs along the waypoints: at a coarse scale, strands are merged and seem to meet.
         """
-        found = ridge.signature
         lines = (
             Piece(strand.path[strand.ends is None :], strand.ends is None)
             for strand in ridge.strands.values()
         )
         aside = ReferencePath(tuple(lines)).project(self.points).distance
-        return bool(
-            np.quantile(aside, SHARE_NEAR) < ASIDE * self.step
-            and (found.junctions or found.crossings or found == self.graph.signature)
-        )
+        near = np.quantile(aside, SHARE_NEAR) < ASIDE * self.step
+        return bool(near and (ridge.signature.junctions or ridge.signature.crossings))
 
 
 def find_sparse_paths(points: FloatArray) -> SparsePaths | None:
