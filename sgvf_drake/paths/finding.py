@@ -4,6 +4,9 @@ The ridge of the density is found on a ladder of scales.  Each scale votes for t
 that it shows; the finest of those with nearly the most votes is taken.  In the plane, the
 persistence of the alpha complex tells the number of loops independently.  Where few scales
 agree, or both ways differ, the network is returned all the same, and says that it is unsure.
+
+The paths through sparse waypoints are the shortest ones instead, unless the ridge shows where
+strands meet.
 """
 
 from collections import defaultdict
@@ -23,6 +26,7 @@ from sgvf_drake.paths.loops import Holes, find_holes
 from sgvf_drake.paths.network import PathNetwork
 from sgvf_drake.paths.ridge import THINNING_CELL, find_ridge, thin
 from sgvf_drake.paths.skeleton import grow_skeleton
+from sgvf_drake.paths.sparse import DOUBT, SparsePaths, find_sparse_paths
 from sgvf_drake.paths.valleys import runs_in_valley
 
 FINEST_SCALE, COARSEST_SCALE = 0.02, 0.75
@@ -111,12 +115,18 @@ def find_paths(
     # The topology does not depend on the order of the points, not even in its last digit.
     points = cloud.normalize(cloud.points)
     points = points[np.lexsort(points.T[::-1])]
-    sigmas = [sigma] if sigma is not None else _ladder(points)
     weights = np.ones(len(points))
-    if len(points) > MANY_POINTS:
-        points, weights = thin(points, weights, THINNING_CELL * sigmas[0])
-    scales = [_at_scale(points, weights, s) for s in sigmas]
-    chosen, unsure = _vote(points, scales, passes)
+    sparse = None if passes or sigma is not None else find_sparse_paths(points)
+    if sparse is not None and sparse.apart:
+        chosen, unsure = _from_sparse(sparse, points)
+    else:
+        sigmas = [sigma] if sigma is not None else _ladder(points)
+        if len(points) > MANY_POINTS:
+            points, weights = thin(points, weights, THINNING_CELL * sigmas[0])
+        scales = [_at_scale(points, weights, s) for s in sigmas]
+        chosen, unsure = _vote(points, scales, passes)
+        if sparse is not None and not sparse.meet_in(chosen.graph):
+            chosen, unsure = _from_sparse(sparse, points)
     draft = Draft(cloud, points, weights, chosen.graph, chosen.sigma)
     draft.use_recording(closed)
     draft.give_directions(direction, start)
@@ -154,6 +164,13 @@ def _at_scale(points: FloatArray, weights: FloatArray, sigma: float) -> Scale:
     graph = assemble(skeleton, sigma)
     merges = bool(graph.strands) and runs_in_valley(graph, points, sigma)
     return Scale(sigma, graph, skeleton.reach, merges)
+
+
+def _from_sparse(sparse: SparsePaths, points: FloatArray) -> tuple[Scale, str | None]:
+    """The paths through sparse waypoints, and why they are unsure, if they are."""
+    scale = Scale(SCALE_PER_SPACING * sparse.step, sparse.graph, sparse.gap)
+    sure = sparse.sure and _agrees(sparse.graph.signature, _holes(points), scale)
+    return scale, None if sure else DOUBT
 
 
 def _vote(
