@@ -117,16 +117,19 @@ def find_paths(
     points = points[np.lexsort(points.T[::-1])]
     weights = np.ones(len(points))
     sparse = None if passes or sigma is not None else find_sparse_paths(points)
-    if sparse is not None and sparse.apart:
+    if sparse is not None and (sparse.apart if sparse.is_sparse else sparse.sure):
         chosen, unsure = _from_sparse(sparse, points)
     else:
         sigmas = [sigma] if sigma is not None else _ladder(points)
         if len(points) > MANY_POINTS:
             points, weights = thin(points, weights, THINNING_CELL * sigmas[0])
         scales = [_at_scale(points, weights, s) for s in sigmas]
-        chosen, unsure = _vote(points, scales, passes)
-        if sparse is not None and not sparse.meet_in(chosen.graph):
-            chosen, unsure = _from_sparse(sparse, points)
+        shown = any(scale.graph.strands for scale in scales)
+        if shown or sparse is None:
+            chosen, unsure = _vote(points, scales, passes)
+        if sparse is not None and sparse.is_sparse:
+            if not (shown and sparse.meet_in(chosen.graph)):
+                chosen, unsure = _from_sparse(sparse, points)
     draft = Draft(cloud, points, weights, chosen.graph, chosen.sigma)
     draft.use_recording(closed)
     draft.give_directions(direction, start)
@@ -168,7 +171,7 @@ def _at_scale(points: FloatArray, weights: FloatArray, sigma: float) -> Scale:
 
 def _from_sparse(sparse: SparsePaths, points: FloatArray) -> tuple[Scale, str | None]:
     """The paths through sparse waypoints, and why they are unsure, if they are."""
-    scale = Scale(SCALE_PER_SPACING * sparse.step, sparse.graph, sparse.gap)
+    scale = Scale(SCALE_PER_SPACING * sparse.step, sparse.graph, sparse.gap, merges=False)
     sure = sparse.sure and _agrees(sparse.graph.signature, _holes(points), scale)
     return scale, None if sure else DOUBT
 

@@ -35,6 +35,9 @@ STEP_PERCENTILE = 90.0
 """Nine in ten edges of the minimum spanning tree are no longer than the step of the waypoints:
 the spacing of even ones, 2.3 mean spacings of random ones."""
 
+EVEN = 1.3
+"""Waypoints are evenly spaced if their step is at most so many times the median one."""
+
 GAP = 3.0
 """Paths end where the next waypoint is more than this many steps away; one of 40 random gaps is
 so long with a chance of 4 %."""
@@ -57,6 +60,9 @@ ASIDE, SHARE_NEAR = 0.5, 0.9
 SMALLEST_PART = 8
 """A part of a tour with fewer waypoints may be turned round by noise, and makes no loop."""
 
+FEWEST_OF_LOOP = 4
+"""Fewer waypoints are no loop: they are open at their longest step."""
+
 ROUNDING = 1e-9
 
 
@@ -70,6 +76,7 @@ class SparsePaths:
         step: How far apart neighbours are.
         gap: How far apart they are at most.
         margin: How much longer the next best paths are.
+        is_sparse: Whether the waypoints are too far apart for a ridge; else they are even.
     """
 
     points: FloatArray
@@ -77,6 +84,7 @@ class SparsePaths:
     step: float
     gap: float
     margin: float
+    is_sparse: bool
 
     @property
     def apart(self) -> bool:
@@ -103,15 +111,18 @@ class SparsePaths:
 
 
 def find_sparse_paths(points: FloatArray) -> SparsePaths | None:
-    """Finds the shortest paths through waypoints (N, d); None where they are not sparse."""
+    """Finds the shortest paths through waypoints (N, d) that are sparse, or few and even.
+
+    None where they are neither.
+    """
     points = np.unique(points, axis=0)
-    if not FEWEST_WAYPOINTS <= len(points) <= MOST_WAYPOINTS:
+    if not 2 <= len(points) <= MOST_WAYPOINTS:
         return None
     distance = cdist(points, points)
     tree = minimum_spanning_tree(distance).data
-    if tree.mean() <= SPARSE:
-        return None
     step = float(np.percentile(tree, STEP_PERCENTILE))
+    if tree.mean() <= SPARSE and step > EVEN * np.median(tree):
+        return None
     gap = GAP * step
     # The best exchange may lead astray: at tips without gaps, at ends without the tips.
     greedy = [_greedy_tour(distance)]
@@ -119,7 +130,8 @@ def find_sparse_paths(points: FloatArray) -> SparsePaths | None:
     tours = min(
         (Tours(start, distance, gap).shortened() for start in starts), key=lambda t: t.cost
     )
-    return SparsePaths(points, _graph(points, tours), step, gap, tours.margin())
+    is_sparse = bool(tree.mean() > SPARSE)
+    return SparsePaths(points, _graph(points, tours), step, gap, tours.margin(), is_sparse)
 
 
 class Tours:
@@ -203,6 +215,8 @@ class Tours:
         found = []
         for k, cycle in enumerate(self.cycles):
             gaps = np.flatnonzero(self._is_gap[self._cycle == k])
+            if len(gaps) == 0 and len(cycle) < FEWEST_OF_LOOP:
+                gaps = np.array([np.argmax(self._steps[self._cycle == k])])
             if len(gaps) == 0:
                 found.append((cycle, True))
                 continue
@@ -232,7 +246,7 @@ def _graph(points: FloatArray, tours: Tours) -> Graph:
     graph = Graph({}, {})
     for order, closed in tours.paths():
         line, ends = points[order], None
-        if len(line) < FEWEST_WAYPOINTS:
+        if len(line) < min(FEWEST_WAYPOINTS, len(points)):
             continue
         if closed:
             line = np.vstack([line, line[:1]])
