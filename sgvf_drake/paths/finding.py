@@ -26,7 +26,7 @@ from sgvf_drake.paths.loops import Holes, find_holes
 from sgvf_drake.paths.network import PathNetwork
 from sgvf_drake.paths.ridge import THINNING_CELL, find_ridge, thin
 from sgvf_drake.paths.skeleton import grow_skeleton
-from sgvf_drake.paths.sparse import DOUBT, SparsePaths, find_sparse_paths
+from sgvf_drake.paths.tours import DOUBT, PathsByTours, find_tours
 from sgvf_drake.paths.valleys import runs_in_valley
 
 FINEST_SCALE, COARSEST_SCALE = 0.02, 0.75
@@ -116,20 +116,23 @@ def find_paths(
     points = cloud.normalize(cloud.points)
     points = points[np.lexsort(points.T[::-1])]
     weights = np.ones(len(points))
-    sparse = None if passes or sigma is not None else find_sparse_paths(points)
-    if sparse is not None and (sparse.apart if sparse.is_sparse else sparse.sure):
-        chosen, unsure = _from_sparse(sparse, points)
+    tours = None if passes or sigma is not None else find_tours(points)
+    if tours is not None and (tours.apart if tours.is_sparse else tours.sure):
+        chosen, unsure = _from_tours(tours, points)
     else:
         sigmas = [sigma] if sigma is not None else _ladder(points)
         if len(points) > MANY_POINTS:
             points, weights = thin(points, weights, THINNING_CELL * sigmas[0])
         scales = [_at_scale(points, weights, s) for s in sigmas]
-        shown = any(scale.graph.strands for scale in scales)
-        if shown or sparse is None:
-            chosen, unsure = _vote(points, scales, passes)
-        if sparse is not None and sparse.is_sparse:
-            if not (shown and sparse.meet_in(chosen.graph)):
-                chosen, unsure = _from_sparse(sparse, points)
+        voted, unsure = _vote(points, scales, passes)
+        if tours is not None and tours.is_sparse:
+            # Only strands that meet are left to the ridge.
+            if voted is None or not tours.meet_in(voted.graph):
+                voted, unsure = _from_tours(tours, points)
+        if voted is None:
+            what = "one path of which they are passes" if passes else "path"
+            raise PointCloudError(f"the waypoints show no {what} at any scale")
+        chosen = voted
     draft = Draft(cloud, points, weights, chosen.graph, chosen.sigma)
     draft.use_recording(closed)
     draft.give_directions(direction, start)
@@ -169,17 +172,18 @@ def _at_scale(points: FloatArray, weights: FloatArray, sigma: float) -> Scale:
     return Scale(sigma, graph, skeleton.reach, merges)
 
 
-def _from_sparse(sparse: SparsePaths, points: FloatArray) -> tuple[Scale, str | None]:
-    """The paths through sparse waypoints, and why they are unsure, if they are."""
-    scale = Scale(SCALE_PER_SPACING * sparse.step, sparse.graph, sparse.gap, merges=False)
-    sure = sparse.sure and _agrees(sparse.graph.signature, _holes(points), scale)
+def _from_tours(tours: PathsByTours, points: FloatArray) -> tuple[Scale, str | None]:
+    """The paths by tours, and why they are unsure, if they are."""
+    sigma = SCALE_PER_SPACING * tours.step
+    scale = Scale(sigma, tours.graph, tours.gap, merges=False)
+    sure = tours.sure and _agrees(tours.graph.signature, _holes(points), scale)
     return scale, None if sure else DOUBT
 
 
 def _vote(
     points: FloatArray, scales: Sequence[Scale], passes: bool
-) -> tuple[Scale, str | None]:
-    """Returns the scale whose topology is taken, and why that is unsure, if it is."""
+) -> tuple[Scale | None, str | None]:
+    """Returns the scale whose topology is taken, if any, and why that is unsure, if it is."""
     if not all(scale.merges for scale in scales):
         scales = [scale for scale in scales if not scale.merges]
     votes: dict[Signature, list[int]] = defaultdict(list)
@@ -189,8 +193,7 @@ def _vote(
     if passes:
         votes = {s: ks for s, ks in votes.items() if s.pieces == 1 and not s.junctions}
     if not votes:
-        what = "one path of which they are passes" if passes else "path"
-        raise PointCloudError(f"the waypoints show no {what} at any scale")
+        return None, None
     holes = None if passes or len(scales) == 1 else _holes(points)
     agreeing = {
         s: kept

@@ -7,7 +7,7 @@ import pytest
 from sgvf_drake.clouds import PointCloud
 from sgvf_drake.experiments.clouds import make_cloud
 from sgvf_drake.paths.finding import find_paths
-from sgvf_drake.paths.sparse import DOUBT, MOST_WAYPOINTS, find_sparse_paths
+from sgvf_drake.paths.tours import DOUBT, MOST_WAYPOINTS, find_tours
 from tests.networks import LOOP, SHAPES, STRAND, Shape, Topology, topology
 
 Array = NDArray[np.float64]
@@ -69,7 +69,7 @@ def test_a_knot_in_space() -> None:
 @pytest.mark.parametrize("name", ["eight", "T", "Y", "X", "Y in space"])
 def test_where_strands_meet_the_ridge_decides(name: str) -> None:
     cloud = sparse_cloud(SHAPES[name], seed=0)
-    sparse = find_sparse_paths(cloud.normalize(cloud.points))
+    sparse = find_tours(cloud.normalize(cloud.points))
     assert sparse is not None
     assert not sparse.apart
     network = find_paths(cloud)
@@ -121,11 +121,11 @@ def test_options_still_decide() -> None:
 
 def test_dense_and_many_waypoints_are_left_to_the_ridge() -> None:
     rng = np.random.default_rng(0)
-    assert find_sparse_paths(SHAPES["circle"].sample(200, 0.0, random=False, seed=0)) is None
-    assert find_sparse_paths(rng.uniform(-4, 4, (MOST_WAYPOINTS + 1, 3))) is None
+    assert find_tours(SHAPES["circle"].sample(200, 0.0, random=True, seed=0)) is None
+    assert find_tours(rng.uniform(-4, 4, (MOST_WAYPOINTS + 1, 3))) is None
     # A waypoint that is given twice is one.
     points = SHAPES["circle"].sample(40, 0.0, random=False, seed=0)
-    once, twice = find_sparse_paths(points), find_sparse_paths(np.tile(points, (2, 1)))
+    once, twice = find_tours(points), find_tours(np.tile(points, (2, 1)))
     assert once is not None
     assert twice is not None
     assert once.graph.signature == twice.graph.signature

@@ -1,4 +1,4 @@
-"""Sparse clouds: the shortest tours through the waypoints themselves.
+"""Sparse clouds, and even ones: the shortest tours through the waypoints themselves.
 
 Below the spacing of its waypoints a density falls apart, so the ridge of a sparse cloud is seen
 at scales that round its tips and merge its strands.  But the shortest tour through the samples
@@ -9,7 +9,8 @@ Here there may be several tours, and no step costs more than a gap: the steps th
 where paths end.  As long as it saves length, two steps are exchanged for two others (2-opt),
 which turns a part of a tour round, parts a tour in two, or joins two.  Where an exchange that
 changes the paths would cost little, the tours do not decide what the paths are: so it is at
-junctions, at crossings, and between strands as near to each other as their waypoints.
+junctions, at crossings, and between strands as near to each other as their waypoints.  Evenly
+spaced waypoints whose tours do decide need no ridge either, however dense they are.
 
 All lengths are in units of the cloud (U).
 """
@@ -67,7 +68,7 @@ ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class SparsePaths:
+class PathsByTours:
     """The paths through the waypoints of a sparse cloud.
 
     Attributes:
@@ -110,7 +111,7 @@ class SparsePaths:
         return bool(near and (ridge.signature.junctions or ridge.signature.crossings))
 
 
-def find_sparse_paths(points: FloatArray) -> SparsePaths | None:
+def find_tours(points: FloatArray) -> PathsByTours | None:
     """Finds the shortest paths through waypoints (N, d) that are sparse, or few and even.
 
     None where they are neither.
@@ -131,7 +132,7 @@ def find_sparse_paths(points: FloatArray) -> SparsePaths | None:
         (Tours(start, distance, gap).shortened() for start in starts), key=lambda t: t.cost
     )
     is_sparse = bool(tree.mean() > SPARSE)
-    return SparsePaths(points, _graph(points, tours), step, gap, tours.margin(), is_sparse)
+    return PathsByTours(points, _graph(points, tours), step, gap, tours.margin(), is_sparse)
 
 
 class Tours:
