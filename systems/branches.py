@@ -130,14 +130,13 @@ def MotionAlong(field: Field, points: FloatArray, speed: float) -> Motion:
     return Motion(points, speed * m, speed**2 * np.einsum("nij,nj->ni", J, m))
 
 
-def MakeBranches(field: Field, path: ReferencePath | None = None) -> tuple[Branch, ...]:
-    """Returns the pieces of a path, in its order, those to which a vehicle can be sent.
+def MakeBranches(field: Field, path: ReferencePath) -> tuple[Branch, ...]:
+    """Returns the pieces of a path, in its order, to which a vehicle can be sent.
 
     Args:
-        field: The guiding field, in metres; it tells the direction of travel of open pieces.
-        path: The path, in m; None: that of a learned field.
+        field: The guiding field, in metres; it tells the direction of travel.
+        path: The path, in m; that of a learned field is `field.path`.
     """
-    path = field.path if path is None else path
     branches = []
     for piece in path.pieces:
         points = piece.sample(max(FEWEST_POINTS, len(piece.vertices)))

@@ -31,6 +31,8 @@ def print_training(summary: Mapping[str, Any]) -> None:
         "self-check": summary["self_check"]["message"],
     }
     print_table("Training", rows)
+    if summary["unsure"]:
+        errors.print(f"unsure: {summary['unsure']}", style="bold red", soft_wrap=True)
     if not summary["self_check_passed"]:
         errors.print("warning: the field failed its self-check", style="bold red")
 

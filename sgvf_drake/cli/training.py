@@ -135,6 +135,8 @@ def train(
     config = TrainingConfig(recipe=recipe, seed=seed, anyway=anyway, **asked, **overrides)
     with progress() as report:
         summary = run_train(source, config, out, overwrite=overwrite, progress=report)
+    said = source.messages if points is not None else ()
+    print_messages(summary["messages"][len(said) :])
     print_training(summary)
     print_folder(out)
 

@@ -8,6 +8,7 @@ from typing import Any
 from sgvf_drake.certificate import Certificate, certify, check
 from sgvf_drake.experiments.certified import CERTIFICATE, CERTIFICATE_FIGURE
 from sgvf_drake.experiments.figures.certificate import certificate_figure
+from sgvf_drake.experiments.reference import choose_reference
 from sgvf_drake.experiments.results import (
     SUMMARY,
     origin,
@@ -15,7 +16,6 @@ from sgvf_drake.experiments.results import (
     save_figure,
     write_summary,
 )
-from sgvf_drake.experiments.reference import choose_reference
 from sgvf_drake.fields import GuidingField
 from sgvf_drake.paths import ReferencePath
 from sgvf_drake.progress import Progress, no_progress

@@ -1,6 +1,7 @@
 """Import of networks that were trained elsewhere, into a folder of results."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -61,6 +62,7 @@ def run_import(
         cloud, origin = _waypoints(networks[0], points, columns)
         files = {"score": Path(score).name, "tangent": Path(tangent).name}
         field = import_field(*networks, cloud, gain=gain, normalise=normalise, files=files)
+        field = replace(field, path_network=field.network)
         field.save(folder / FIELD_FILE)
         if field.dim == 2:
             save_figure(field_figure(field)[0], folder / FIGURE)

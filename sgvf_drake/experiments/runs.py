@@ -105,11 +105,11 @@ def _path_summary(result: Any, config: Any) -> dict[str, Any]:
     return {
         "pieces": [
             {
-                "points": waypoints,
+                "points": count,
                 "closed": line.closed,
                 "length": line.length * unit,
             }
-            for line, waypoints in zip(support.path.pieces, support.waypoints, strict=True)
+            for line, count in zip(support.path.pieces, support.counts, strict=True)
         ],
         "ends": result.field.ends,
         "open": config.open,

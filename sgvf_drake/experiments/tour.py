@@ -157,10 +157,17 @@ def fly_tour(
 def _branches_of(
     field: GuidingField, reference: ReferencePath
 ) -> tuple[list[int], tuple[Branch, ...]]:
-    """Returns the pieces of the reference that are flown, and the branch that each is."""
-    pieces = flown_pieces(field, reference)
-    path = ReferencePath(tuple(reference.pieces[piece] for piece in pieces))
-    return pieces, MakeBranches(field, path)
+    """Returns the piece of the reference that each branch of the field is, and these."""
+    unit = field.cloud.unit_length
+    branches = [one for one in MakeBranches(field, field.path) if one.length >= unit]
+    pieces = [
+        int(np.bincount(reference.project(branch.points).piece).argmax()) for branch in branches
+    ]
+    if sorted(pieces) != flown_pieces(field, reference):
+        raise ConfigurationError(
+            f"the waypoints are in {len(pieces)} pieces, which are not those of the reference"
+        )
+    return pieces, tuple(branches)
 
 
 def _stop(pieces: Sequence[int], piece: int) -> int:

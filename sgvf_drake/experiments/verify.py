@@ -1,6 +1,5 @@
 """Check the Lyapunov conditions of a field: on samples, along trajectories, and in flight."""
 
-from collections.abc import Sequence
 from dataclasses import asdict
 from os import PathLike
 from pathlib import Path

@@ -38,7 +38,8 @@ HEADER_KEY = "sgvf_drake.field"
 VERSION = 3
 # Version 1 had neither activations, as every network was one of SiLU, nor normalised fields;
 # before version 3 a field did not hold its paths, which are found in its waypoints then.
-READABLE_VERSIONS = (1, 2, VERSION)
+VERSION_WITHOUT_PATHS = 2
+READABLE_VERSIONS = (1, VERSION_WITHOUT_PATHS, VERSION)
 OF_VERSION_1 = {"score_activation": SILU.name, "tangent_activation": SILU.name}
 COMPOSITIONS: dict[type[Composition], str] = {
     RobustComposition: "robust",
@@ -133,11 +134,12 @@ def read_field(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def _header(field: ComposedField) -> dict[str, Any]:
-    # Only where there is one, so that other files stay as they were.
+    # Only where there are any, so that other files, and their digests, stay as they were.
     origin = {"origin": field.cloud.origin} if field.cloud.origin else {}
+    paths = {"network": field.path_network.to_json()} if field.path_network else {}
     network = field.score_model if isinstance(field.score_model, ScoreNetwork) else None
     return {
-        "version": VERSION,
+        "version": VERSION if paths else VERSION_WITHOUT_PATHS,
         "recipe": field.recipe,
         "seed": field.seed,
         "sigma": field.sigma,
@@ -151,7 +153,7 @@ def _header(field: ComposedField) -> dict[str, Any]:
         "center": field.cloud.center.tolist(),
         "unit_length": field.cloud.unit_length,
         "provenance": dict(field.provenance),
-        "network": field.path_network and field.path_network.to_json(),
+        **paths,
         **origin,
     }
 
@@ -206,8 +208,7 @@ def _origin(header: Mapping[str, Any]) -> Origin | None:
 def _path_network(header: Mapping[str, Any]) -> PathNetwork | None:
     if header["version"] < VERSION:
         return None
-    network = _checked(header, "network", dict, type(None))
-    return None if network is None else PathNetwork.from_json(network)
+    return PathNetwork.from_json(_checked(header, "network", dict))
 
 
 def _positive(header: Mapping[str, Any], key: str) -> float:

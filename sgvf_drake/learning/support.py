@@ -74,7 +74,7 @@ class Support:
         ends: (E, d) where robots come to rest.
         spacing: Mean distance of neighbouring waypoints along the path.
         gap: Smallest distance between neighbouring strands; `WIDEST_GAP` where it is more.
-        waypoints: The number of waypoints on each line.
+        counts: The number of points on each line.
         resampled: Whether the points lie evenly on the lines, in place of the waypoints.
     """
 
@@ -85,7 +85,7 @@ class Support:
     ends: FloatArray
     spacing: float
     gap: float
-    waypoints: tuple[int, ...]
+    counts: tuple[int, ...]
     resampled: bool
 
 
@@ -105,9 +105,10 @@ def find_support(
     """
     strands = list(_strands(cloud, network))
     path = ReferencePath(tuple(strand.line for strand in strands))
-    points = np.unique(cloud.normalize(cloud.points), axis=0)
+    points = cloud.normalize(cloud.points)
     foot = path.project(points)
-    spacing = float(path.lengths.sum()) / len(points)
+    # Copies of a waypoint are no nearer to the next one.
+    spacing = float(path.lengths.sum()) / len(np.unique(points, axis=0))
     gap = _gap(strands, network)
     fine = sigma or min(SIGMA_DEFAULT, SIGMA_PER_GAP * gap)
     coarse = max(
@@ -145,7 +146,7 @@ def find_support(
         np.reshape(stops, (-1, cloud.dim)),
         spacing,
         gap,
-        tuple(np.bincount(foot.piece, minlength=len(strands)).tolist()),
+        tuple(np.bincount(piece, minlength=len(strands)).tolist()),
         resampled,
     )
 

@@ -147,9 +147,10 @@ def _paths_of(
         cloud, network = source, find_paths(source, **config.of_path)
     for piece in range(network.num_pieces):
         if not (network.is_simple(piece) or config.anyway):
+            doubt = f" (unsure: {network.unsure})" if network.unsure else ""
             raise ConfigurationError(
-                f"piece {piece + 1} is a {network.describe(piece)}: no field of the position "
-                "alone follows it; --anyway (anyway=True) trains one all the same"
+                f"piece {piece + 1} is a {network.describe(piece)}{doubt}: no field of the "
+                "position alone follows it; --anyway (anyway=True) trains one all the same"
             )
     return cloud, network
 

@@ -76,8 +76,7 @@ class Vanishing:
             density_percentile: part of the box in which the density is lower, 0 to 1;
             path_distance: to the path;
             on_path: whether that is at most `NEAR_PATH` noise levels;
-            curvature: of the path nearby, per unit of length; NaN off the path, and on a side
-            branch, whose curvature is not known;
+            curvature: of the path nearby, per unit of length; NaN off the path;
             guiding_norm: |m|;
             score_norm: |S| sigma;
             other_distance: to the nearest zero of m; infinite where it has none.

@@ -27,6 +27,7 @@ from sgvf_drake.paths.network import PathNetwork
 from sgvf_drake.paths.ridge import THINNING_CELL, find_ridge, thin
 from sgvf_drake.paths.skeleton import grow_skeleton
 from sgvf_drake.paths.sparse import DOUBT, SparsePaths, find_sparse_paths
+from sgvf_drake.paths.valleys import runs_in_valley
 
 FINEST_SCALE, COARSEST_SCALE = 0.02, 0.75
 """The ladder, in U: at the coarsest, circles of diameter 2.25 U are still seen as loops."""
@@ -68,11 +69,13 @@ class Scale:
         sigma: The scale.
         graph: The graph.
         reach: The widest gap that was bridged, had there been one.
+        merges: Whether a line runs between two strands, which are one at this scale.
     """
 
     sigma: float
     graph: Graph
     reach: float
+    merges: bool
 
 
 def find_paths(
@@ -158,12 +161,14 @@ def _is_thick(points: FloatArray, sigma: float) -> bool:
 def _at_scale(points: FloatArray, weights: FloatArray, sigma: float) -> Scale:
     ridge = find_ridge(points, weights, sigma)
     skeleton = grow_skeleton(ridge, points, weights, sigma)
-    return Scale(sigma, assemble(skeleton, sigma), skeleton.reach)
+    graph = assemble(skeleton, sigma)
+    merges = bool(graph.strands) and runs_in_valley(graph, points, sigma)
+    return Scale(sigma, graph, skeleton.reach, merges)
 
 
 def _from_sparse(sparse: SparsePaths, points: FloatArray) -> tuple[Scale, str | None]:
     """The paths through sparse waypoints, and why they are unsure, if they are."""
-    scale = Scale(SCALE_PER_SPACING * sparse.step, sparse.graph, sparse.gap)
+    scale = Scale(SCALE_PER_SPACING * sparse.step, sparse.graph, sparse.gap, merges=False)
     sure = sparse.sure and _agrees(sparse.graph.signature, _holes(points), scale)
     return scale, None if sure else DOUBT
 
@@ -172,6 +177,8 @@ def _vote(
     points: FloatArray, scales: Sequence[Scale], passes: bool
 ) -> tuple[Scale, str | None]:
     """Returns the scale whose topology is taken, and why that is unsure, if it is."""
+    if not all(scale.merges for scale in scales):
+        scales = [scale for scale in scales if not scale.merges]
     votes: dict[Signature, list[int]] = defaultdict(list)
     for k, scale in enumerate(scales):
         if scale.graph.strands:
@@ -192,6 +199,8 @@ def _vote(
     chosen = scales[_second_of_run(pool[taken])]
     if passes or len(scales) == 1:
         return chosen, None
+    if chosen.merges:
+        return chosen, f"a line runs in the middle between two strands; {_remedy(taken)}"
     if not _agrees(taken, holes, chosen):
         assert holes is not None
         return chosen, (

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.ndimage import median_filter
+from scipy.ndimage import median_filter, percentile_filter
 from scipy.stats import chi2
 
 from sgvf_drake.arrays import FloatArray, IntArray
@@ -33,6 +33,14 @@ CLEAN = 0.1
 
 BUNDLE = 3.0
 """Waypoints that scatter by this many spacings are of several passes, with an end each."""
+
+ALONE, DETOUR = 1.3, 1.5
+"""A waypoint is a stray, and no corner, if it is this many steps away from both neighbours and
+to visit it is a detour of this many."""
+
+STEPS, STEP_PERCENTILE = 21, 75
+"""Three of four steps of a line around a place are no longer than one: each stray makes two
+that are."""
 
 BANDWIDTH = 1.5
 """Standard deviation of the kernel of a fit, in spacings or scatters, whichever is larger."""
@@ -234,6 +242,9 @@ def _fit(
     if period is None and float(np.median(scatter)) > BUNDLE * spacing:
         fitted = _without_overhang(own, pinned, step=2 * sigma)
         scatter = local_scatter(fitted.arc, fitted.points, period)
+    as_they_are = spacing > SPARSE or float(np.median(scatter)) < CLEAN * spacing
+    if as_they_are:
+        own = fitted = _without_spikes(fitted, rough.closed)
     u, x, w = _averaged(fitted, rough.length / MOST_FITTED)
     for s in pinned:
         at = int(s > 0) * len(u)
@@ -241,7 +252,6 @@ def _fit(
         x = np.insert(x, at, rough.at(np.array([s])), axis=0)
     first, last = (0.0, rough.length) if rough.closed else (u[0], u[-1])
     marks = np.clip(marks, first, last)
-    as_they_are = spacing > SPARSE or float(np.median(scatter)) < CLEAN * spacing
     count = int(np.ceil((last - first) * SAMPLES_PER_SIGMA / sigma)) + 2
     samples = np.union1d(marks, u if as_they_are else np.linspace(first, last, count))
     samples = samples[samples < last] if rough.closed else samples
@@ -275,6 +285,26 @@ def _without_overhang(own: Ordered, pinned: list[float], step: float) -> Ordered
     first = own.arc[0] if 0.0 in pinned else edges[full[0]]
     last = own.arc[-1] if any(s > 0 for s in pinned) else edges[full[-1] + 1]
     kept = (own.arc >= first) & (own.arc <= last)
+    return Ordered(own.index[kept], own.arc[kept], own.points[kept], own.weights[kept])
+
+
+def _without_spikes(own: Ordered, closed: bool) -> Ordered:
+    """Leaves out the waypoints beside a line that runs through all others; the worst first."""
+    steps = np.linalg.norm(np.diff(own.points, axis=0, append=own.points[:1]), axis=1)
+    around = percentile_filter(steps, STEP_PERCENTILE, STEPS, mode="wrap")
+    kept = np.arange(len(own.index))
+    while len(kept) > RUN:
+        x = own.points[kept]
+        before, after = np.roll(x, 1, axis=0), np.roll(x, -1, axis=0)
+        back, ahead = np.linalg.norm(x - before, axis=1), np.linalg.norm(x - after, axis=1)
+        detour = back + ahead - np.linalg.norm(after - before, axis=1)
+        step = around[kept]
+        stray = (np.minimum(back, ahead) > ALONE * step) & (detour > DETOUR * step)
+        if not closed:
+            stray[[0, -1]] = False
+        if not stray.any():
+            break
+        kept = np.delete(kept, int(np.argmax(np.where(stray, detour, 0))))
     return Ordered(own.index[kept], own.arc[kept], own.points[kept], own.weights[kept])
 
 

@@ -292,6 +292,8 @@ class PathNetwork:
         Raises:
             PointCloudError: If the file is no network.
         """
+        if not Path(path).is_file():
+            raise PointCloudError(f"{path}: no such file")
         try:
             data = json.loads(Path(path).read_text(encoding="utf-8"))
         except (UnicodeDecodeError, json.JSONDecodeError) as error:

@@ -5,10 +5,9 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
 from sgvf_drake.metrics import default_duration, follow_metrics, grid_starts
-from sgvf_drake.paths import Piece, ReferencePath, make_shape, shape_path, tree_reference
+from sgvf_drake.paths import Piece, ReferencePath, make_shape, shape_path
 
 CLOUD, CIRCLE = make_shape("circle")  # radius 3, U = 0.75
 U, BOX = CLOUD.unit_length, CLOUD.box
@@ -163,7 +162,6 @@ def test_passing_an_open_polyline_is_neither_a_lap_nor_an_end():
 # Open paths: to the end, and to rest there.
 
 LINE = ReferencePath((Piece(np.array([[-3.0, 0.0], [3.0, 0.0]]), closed=False),))
-LINE_TREE = tree_reference(PointCloud(np.column_stack([np.linspace(-3, 3, 61), np.zeros(61)])))
 # Time for a stall of 8 U = 6 s after the line of 6 s.
 OPEN_TIMES = times_for(20.0)
 
@@ -188,11 +186,6 @@ def aside(far):
     return far * U * np.interp(OPEN_TIMES, [2, 2.5, 3, 3.5], [0, 1, 1, 0])
 
 
-@pytest.fixture(params=[LINE, LINE_TREE], ids=["path", "tree"])
-def line(request):
-    return request.param
-
-
 # Coordinates over time, and what holds of the agent.
 ON_LINE = {
     "from the start": (travel(-3, 3), 0, "rse"),
@@ -212,9 +205,9 @@ ON_LINE = {
 }
 
 
-def test_only_who_comes_to_rest_at_the_end_has_ended(line):
+def test_only_who_comes_to_rest_at_the_end_has_ended():
     agents = [np.column_stack(np.broadcast_arrays(x, y)) for x, y, _ in ON_LINE.values()]
-    metrics = measure(OPEN_TIMES, np.stack(agents, axis=1), line)
+    metrics = measure(OPEN_TIMES, np.stack(agents, axis=1), LINE)
     found = dict(zip(ON_LINE, flags_of(metrics), strict=True))
     assert found == {name: flags for name, (_, _, flags) in ON_LINE.items()}
     assert metrics.open.all()
@@ -224,35 +217,35 @@ def test_only_who_comes_to_rest_at_the_end_has_ended(line):
     assert (metrics.samples[start], metrics.rms[start]) == (1, 0.0)
     # To be at the end in the last sample, on the way past it, is no end.
     passing = OPEN_TIMES <= 6.0
-    metrics = measure(OPEN_TIMES[passing], on_line(-3 + OPEN_TIMES)[passing], line)
+    metrics = measure(OPEN_TIMES[passing], on_line(-3 + OPEN_TIMES)[passing], LINE)
     assert not metrics.ended.any()
 
 
-def test_rest_lasts_two_units_of_time_and_spans_a_twentieth_of_a_unit(line):
+def test_rest_lasts_two_units_of_time_and_spans_a_twentieth_of_a_unit():
     for rest, ended in ((1.9, False), (2.1, True)):
         # Rest counts from the stop, not from coming within a tenth of a unit of the end.
         times = times_for(6 + rest * U, step=0.01)
-        metrics = measure(times, on_line(travel(-3, 3, times)), line)
+        metrics = measure(times, on_line(travel(-3, 3, times)), LINE)
         assert metrics.ended.tolist() == [ended]
         # Entered half-way, the run is shorter than the time of the whole line.
         half = times_for(3 + rest * U, step=0.01)
-        metrics = measure(half, on_line(travel(0, 3, half)), line)
+        metrics = measure(half, on_line(travel(0, 3, half)), LINE)
         assert metrics.ended.tolist() == metrics.settled.tolist() == [ended]
         # At twice the speed the same rest takes half of the time.
-        metrics = measure(times / 2, on_line(travel(-3, 3, times)), line, speed=2.0)
+        metrics = measure(times / 2, on_line(travel(-3, 3, times)), LINE, speed=2.0)
         assert metrics.ended.tolist() == [ended]
     for span, ended in ((0.048, True), (0.052, False)):
         sway = 0.5 * span * U * np.sin(7 * OPEN_TIMES)[:, None] * np.array([0.6, 0.8])
         positions = on_line(travel(-3, 3)) + sway[:, None, :]
-        assert measure(OPEN_TIMES, positions, line).ended.tolist() == [ended]
+        assert measure(OPEN_TIMES, positions, LINE).ended.tolist() == [ended]
 
 
-def test_resting_does_not_dilute_the_error(line):
+def test_resting_does_not_dilute_the_error():
     # Comes in from 1 U off, sways about the line over its whole length, and rests on it.
     x = travel(-3, 3)
     way_in = np.maximum(U - 2 * OPEN_TIMES, 0)
     y = np.where(OPEN_TIMES < 6, way_in + 0.05 * np.sin(2 * np.pi * OPEN_TIMES), 0.0)
-    metrics = measure(OPEN_TIMES, np.column_stack([x, y])[:, None, :], line)
+    metrics = measure(OPEN_TIMES, np.column_stack([x, y])[:, None, :], LINE)
     assert metrics.ended.all()
     reach = np.argmax(np.abs(y) <= 0.1 * U)
     arrival = np.argmax(np.hypot(x - 3, y) <= 0.1 * U)
@@ -264,7 +257,7 @@ def test_resting_does_not_dilute_the_error(line):
     assert metrics.summary()["cross_track_rms"] == pytest.approx(expected)
 
 
-def test_the_wrong_end_is_none_unless_the_field_ends_there(line):
+def test_the_wrong_end_is_none_unless_the_field_ends_there():
     positions = on_line(travel(2, -3), travel(-2, 3))
     for ends, ended in (
         (None, [False, True]),
@@ -277,7 +270,7 @@ def test_the_wrong_end_is_none_unless_the_field_ends_there(line):
         ([[-2.0, 0.0], [3.5, 0.0]], [False, True]),
         ([[2.0, 0.0], [-3.5, 0.0]], [True, False]),
     ):
-        metrics = measure(OPEN_TIMES, positions, line, ends=ends)
+        metrics = measure(OPEN_TIMES, positions, LINE, ends=ends)
         assert metrics.ended.tolist() == ended, ends
         assert metrics.stalled.tolist() == [not one for one in ended]
 
@@ -366,21 +359,6 @@ def test_ends_mean_nothing_to_closed_pieces():
     assert not given.open.any()
 
 
-def test_rest_on_an_isolated_waypoint_is_a_failure():
-    for others, lap, end in ((CLOUD.points, 0.0, None), (LINE_TREE.points, None, 0.0)):
-        reference = tree_reference(PointCloud(np.concatenate([others, [[0.0, 1.9]]])))
-        times = times_for(2 * LAP)
-        positions = np.tile([[0.0, 1.9]], (len(times), 1, 1))
-        metrics = measure(times, positions, reference, ends=[[0.0, 1.9]])
-        assert metrics.reached.all()
-        # It is nothing to settle on.
-        assert not (metrics.settled | metrics.lapped).any()
-        np.testing.assert_array_equal(metrics.laps, 0)
-        summary = metrics.summary()
-        assert (summary["lap_fraction"], summary["end_fraction"]) == (lap, end)
-        assert summary["stall_fraction"] == 1.0
-
-
 def test_pooled_error_weighs_each_sample():
     times = times_for(2 * LAP)
     agents = [around(times, 3.03), around(times, 3.1, speed=0.75), around(times, 3.9)]
@@ -392,34 +370,6 @@ def test_pooled_error_weighs_each_sample():
     assert summary["cross_track_rms"] == pytest.approx(expected, abs=SAGITTA)
     assert summary["cross_track_max"] == pytest.approx(0.1, abs=SAGITTA)
     assert summary["lap_fraction"] == pytest.approx(2 / 3)
-
-
-@pytest.mark.parametrize("shape", ["circle", "separated-circles", "square"])
-def test_the_tree_of_the_cloud_agrees_with_the_true_path(shape):
-    cloud, path = make_shape(shape, num_points=200)
-    times = times_for(1.5 * path.longest, step=0.02)
-    track = path.pieces[0].at(times % path.pieces[0].length)
-    centroid = path.pieces[0].vertices.mean(axis=0)
-    outside = centroid + 1.02 * (track - centroid)
-    half = centroid + np.abs(track - centroid)
-    args = (times, np.stack([track, outside, half], 1), cloud.unit_length, cloud.box)
-    true, tree = (follow_metrics(*args, ref) for ref in (path, tree_reference(cloud)))
-    for name in ("reached", "lapped", "stalled", "left"):
-        np.testing.assert_array_equal(getattr(tree, name), getattr(true, name))
-    assert true.lapped[:2].all()
-    np.testing.assert_allclose(tree.rms[:2], true.rms[:2], atol=2e-3)
-    np.testing.assert_allclose(np.abs(tree.laps[:2]), 1.5, rtol=2e-3)
-
-
-def test_with_a_tree_a_lap_passes_every_waypoint():
-    cloud, _ = make_shape("circle")
-    waypoint_beside = np.array([[3.0 + 0.35 * U, 0.0]])
-    with_branch = PointCloud(np.concatenate([cloud.points, waypoint_beside]))
-    times = times_for(2 * LAP)
-    for points, lapped in ((cloud, True), (with_branch, False)):
-        metrics = measure(times, around(times), tree_reference(points))
-        assert metrics.settled.all()
-        assert metrics.lapped.tolist() == [lapped]
 
 
 @settings(max_examples=10, deadline=None, derandomize=True)

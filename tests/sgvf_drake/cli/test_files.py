@@ -25,7 +25,10 @@ def test_a_field_of_degrees_keeps_their_origin(run, refused, tmp_path, capsys):
     said = f"gps.csv: CSV, 60 points, {TOLD}"
     assert capsys.readouterr().out.splitlines()[0] == said
     summary = json.loads((out / "summary.json").read_text())
-    assert (summary["messages"], summary["origin"]) == ([said], [48.1372, 11.5756, 0.0])
+    lap = "piece 1: closed path, length 193.7"
+    order = "the order of the points gives the direction of travel"
+    assert summary["messages"] == [said, lap, order]
+    assert summary["origin"] == [48.1372, 11.5756, 0.0]
     assert load_field(out / "field.safetensors").cloud.origin == (48.1372, 11.5756, 0.0)
     options = ("--starts", 4, "--duration", 1, "--out", tmp_path / "follow")
     assert run("follow", out, "--reference", tmp_path / "half.csv", *options) == 0

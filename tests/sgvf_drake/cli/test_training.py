@@ -8,7 +8,7 @@ import pytest
 from sgvf_drake import PointCloud, load_field
 from sgvf_drake.cli.options import DIRECTIONS as OFFERED
 from sgvf_drake.experiments.figures import runs as figures
-from sgvf_drake.paths import make_shape
+from sgvf_drake.paths import PathNetwork, make_shape
 from sgvf_drake.paths.draft import DIRECTIONS
 from tests.helpers import circle, ink, names_in, summary_of
 
@@ -182,13 +182,41 @@ def test_each_piece_has_its_direction(quick):
 def test_shapes_are_listed_and_sampled_as_asked(run, inputs, quick, tmp_path, capsys):
     assert run("shapes") == 0
     assert "concentric-flight" in capsys.readouterr().out.split()
-    more = ("--num-points", 70, "--noise", 0.02, "--sampling", "random", "--seed", 4)
+    more = ("--num-points", 120, "--noise", 0.02, "--sampling", "random", "--seed", 4)
     few = ("--recipe", "exact", "--tangent-iterations", 1, "--max-restarts", 0)
     assert run("train", "--shape", "star", *more, *few, "--out", tmp_path / "out") == 0
     cloud = load_field(tmp_path / "out" / "field.safetensors").cloud
-    expected, _ = make_shape("star", 70, noise=0.02, seed=4, sampling="random")
+    expected, _ = make_shape("star", 120, noise=0.02, seed=4, sampling="random")
     assert (cloud.digest, cloud.shape) == (expected.digest, "star")
     assert PointCloud.read(inputs / "ring.csv").digest != cloud.digest
+
+
+def test_a_network_that_was_found_is_trained_on_and_kept(run, inputs, tmp_path):
+    """Backwards, as `sgvf paths` was asked to; and nothing else can be asked of it then."""
+    found, out = tmp_path / "found", tmp_path / "out"
+    points = inputs / "arc.csv"
+    assert run("paths", points, "--direction", "reverse", "--out", found) == 0
+    few = ("--recipe", "exact", "--tangent-iterations", 1, "--max-restarts", 0)
+    assert run("train", "--network", found / "network.json", *few, "--out", out) == 0
+    field = load_field(out / "field.safetensors")
+    (line,) = field.network.path.pieces
+    np.testing.assert_allclose(line.vertices[[0, -1]], [[2, 0], [-2, 0]], atol=0.05)
+    np.testing.assert_allclose(field.ends, [[-2.0, 0.0]], atol=0.05)
+    assert field.network.length == PathNetwork.load(found / "network.json").length
+
+
+def test_paths_that_cross_are_refused_unless_anyway(run, refused, tmp_path):
+    angle = np.linspace(0, 2 * np.pi, 300, endpoint=False)
+    eight = pd.DataFrame({"x": 3 * np.sin(angle), "y": 3 * np.sin(2 * angle) / 2})
+    eight.to_csv(tmp_path / "eight.csv", index=False)
+    few = ("--recipe", "exact", "--tangent-iterations", 1, "--max-restarts", 0)
+    command = ("train", "--points", tmp_path / "eight.csv", *few, "--out", tmp_path / "out")
+    line = refused(*command)
+    assert "piece 1 is a closed path, length 18.29, with 1 crossing" in line
+    assert "--anyway" in line
+    assert not (tmp_path / "out").exists()
+    assert run(*command, "--anyway") == 0
+    assert load_field(tmp_path / "out" / "field.safetensors").network.count("crossing") == 1
 
 
 # Bad input: arguments, and what the one line names.
@@ -208,6 +236,9 @@ BAD = [
     ("--points ragged.csv", "ragged.csv, line 4", "3 fields"),
     ("--points ring.csv --columns x,q", "ring.csv", "no column 'q'", "'x', 'y'"),
     ("--points ring.csv --columns 0,7", "ring.csv", "no column 7"),
+    ("--points ring.csv --network network.json", "give one of --points FILE, --shape NAME"),
+    ("--network ring.csv", "ring.csv is no network"),
+    ("--network none.json", "none.json", "no such file"),
     ("--shape circle --columns x,y", "--columns x,y", "--points"),
     ("--points one.csv", "one.csv", "at least 2 waypoints"),
     ("--points same.csv", "same.csv", "coincide"),
@@ -222,7 +253,7 @@ BAD = [
     ("--points arc.csv --direction cw,-,cw", "direction has 3 entries", "1 piece"),
     (
         "--points arc.csv --open --direction cw",
-        *("direction 'cw'", "closed pieces in the plane"),
+        *("direction 'cw'", "closed paths in the plane"),
     ),
     ("--points arc.csv --start 1;2", "--start", "'1;2'"),
     ("--points arc.csv --start 1", "--start", "'1'"),

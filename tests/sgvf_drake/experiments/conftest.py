@@ -11,6 +11,7 @@ from sgvf_drake.clouds import PointCloud
 from sgvf_drake.experiments import fly, follow
 from sgvf_drake.fields.storage import field_digest
 from sgvf_drake.paths import Piece, ReferencePath, shape_path
+from sgvf_drake.paths.finding import find_paths
 from tests.fields import exact_field
 from tests.helpers import circle
 
@@ -33,6 +34,10 @@ class ConstantField:
     @property
     def dim(self):
         return self.cloud.dim
+
+    @property
+    def path(self):
+        return find_paths(self.cloud).path
 
     def __call__(self, x):
         return np.broadcast_to(self.value, x.shape).copy()

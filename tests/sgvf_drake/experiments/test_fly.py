@@ -249,10 +249,10 @@ def test_bad_values_are_refused(flight_field, rings, name):
 
 
 def test_fields_and_references_that_cannot_be_flown(flight_field, constant_field):
-    cloud = PointCloud(np.random.default_rng(0).uniform(-1, 1, (20, 4)))
-    field = constant_field(cloud, np.ones(4))
+    points = np.random.default_rng(0).uniform(-1, 1, (20, 4))
+    field = constant_field(PointCloud(points), np.ones(4))
     with pytest.raises(ConfigurationError, match="dimension 2 or 3, got 4"):
-        fly(field, choose_reference(field)[0])
+        fly(field, ReferencePath((Piece(points, closed=False),)))
     # In another unit.
     short = ReferencePath((Piece(np.array([[0.0, 0.0], [0.004, 0.0]]), closed=False),))
     with pytest.raises(ConfigurationError, match=r"only 0\.004 m long, .* span 3\.99972 m"):
@@ -268,12 +268,10 @@ def field_of(ends=(), unit_length=1.0):
     return SimpleNamespace(cloud=cloud, ends=np.reshape(ends, (-1, 2)))
 
 
-def test_stray_points_are_not_flown(circle_of_points, constant_field):
-    cloud = PointCloud(np.concatenate([circle_of_points(1.0).points, [[3.0, 0.0]]]))
-    field = constant_field(cloud, np.zeros(2))
-    reference, _ = choose_reference(field)
-    assert len(reference.lengths) == 2
-    assert flown_pieces(field, reference) == [int(np.argmax(reference.lengths))]
+def test_short_pieces_are_not_flown(circle_of_points, constant_field, rings):
+    field = constant_field(circle_of_points(1.0), np.zeros(2))
+    short = Piece(0.9 * field.cloud.unit_length * np.eye(2)[[0, 0]] * [[0], [1]], closed=False)
+    assert flown_pieces(field, ReferencePath((short, rings.pieces[0]))) == [1]
 
 
 CORNER = [[0.0, 1.0], [3.0, 1.0], [4.0, 1.0], [4.0, 2.0], [4.0, 5.0]]

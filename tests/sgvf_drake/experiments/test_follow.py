@@ -6,8 +6,9 @@ from scipy.integrate import solve_ivp
 
 from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
-from sgvf_drake.experiments import choose_reference, follow, scale_reference
+from sgvf_drake.experiments import choose_reference, follow
 from sgvf_drake.paths import Piece, ReferencePath
+from sgvf_drake.paths.finding import find_paths
 from systems import MakeKinematicDiagram, MakeSimulator, SetPositions
 
 
@@ -21,6 +22,10 @@ class LineField:
         self.cloud = PointCloud(np.column_stack([np.linspace(-3, 3, 61), np.zeros(61)]))
         self.terminal = np.array([terminal, 0.0])
         self.ends = self.terminal[None, :] if declared else np.empty((0, 2))
+
+    @property
+    def path(self):
+        return find_paths(self.cloud).path
 
     def __call__(self, x):
         along = np.tanh((self.terminal[0] - x[:, 0]) / 0.2) / np.cosh(3 * x[:, 1])
@@ -111,7 +116,7 @@ def test_half_the_step_and_the_unit_of_length_change_little(
     duration = followed.times[100]
     told = []
     for factor in (1e-3, 1e3):
-        field, path = flight_field.rescaled(factor), scale_reference(rings, factor)
+        field, path = flight_field.rescaled(factor), rings.rescaled(factor)
         other = follow(field, path, 16, factor * duration, lambda *call: told.append(call))
         assert told[-1][0] == "follow"
         assert told[-1][1] == told[-1][2]

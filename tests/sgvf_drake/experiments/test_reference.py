@@ -1,25 +1,14 @@
-"""What fields are measured against: a file, the true shape, or the cloud itself."""
-
-from types import SimpleNamespace
+"""What fields are measured against: a file, the true shape, or what was found."""
 
 import numpy as np
 import pytest
 
-from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError, PointCloudError
-from sgvf_drake.experiments import choose_reference, scale_reference
-from sgvf_drake.paths import ReferencePath, TreeReference
+from sgvf_drake.experiments import choose_reference
+from sgvf_drake.paths import ReferencePath
 
 
-def arc_field(degrees, has_end=False):
-    """An arc of 3 units, and where its field comes to rest."""
-    angle = np.radians(np.linspace(0, degrees, 120))
-    points = 3 * np.column_stack([np.cos(angle), np.sin(angle)])
-    ends = points[-1:] if has_end else np.empty((0, 2))
-    return SimpleNamespace(cloud=PointCloud(points), dim=2, ends=ends)
-
-
-def test_a_named_shape_is_measured_against_the_truth_and_other_clouds_against_their_tree(
+def test_a_named_shape_is_measured_against_the_truth_and_other_clouds_against_their_network(
     flight_field,
 ):
     lengths = 2 * np.pi * np.array([1.0, 2.0])
@@ -28,25 +17,11 @@ def test_a_named_shape_is_measured_against_the_truth_and_other_clouds_against_th
     np.testing.assert_allclose(reference.lengths, lengths, rtol=1e-5)
     reference, kind = choose_reference(flight_field.rescaled(2.0))
     assert kind == "cloud"
-    assert isinstance(reference, TreeReference)
+    assert reference.closed.all()
     np.testing.assert_allclose(sorted(reference.lengths), 2 * lengths, rtol=1e-2)
 
 
-@pytest.mark.parametrize(
-    ("degrees", "has_end", "closed"),
-    [(355, False, True), (355, True, False), (200, True, False)],
-)
-def test_the_tree_is_open_where_the_field_has_an_end(degrees, has_end, closed):
-    reference, kind = choose_reference(arc_field(degrees, has_end))
-    assert kind == "cloud"
-    assert reference.closed.tolist() == [closed]
-    travelled = 3 * np.radians(degrees)
-    chord = 6 * np.sin(np.radians(degrees) / 2)
-    # The tree's chords are shorter than the arc by parts in 10,000.
-    assert reference.longest == pytest.approx(travelled + closed * chord, rel=1e-3)
-
-
-def test_the_tree_of_a_trained_field_is_open_as_it_was_trained(open_field, exact_field):
+def test_the_network_of_a_trained_field_is_open_as_it_was_trained(open_field, exact_field):
     for field, closed in ((open_field, [False]), (exact_field.rescaled(2.0), [True, True])):
         assert choose_reference(field)[0].closed.tolist() == closed
 
@@ -69,15 +44,12 @@ def test_a_file_comes_first(tmp_path, flight_field):
         choose_reference(flight_field, tmp_path / "none.csv")
 
 
-def test_references_scale(rings, circle_of_points):
-    tree, _ = choose_reference(arc_field(355, has_end=True))
+def test_references_scale(rings, open_field):
     x = np.random.default_rng(0).uniform(-4, 4, (50, 2))
-    for reference in (rings, tree):
-        scaled = scale_reference(reference, 0.01)
+    for reference in (rings, open_field.path):
+        scaled = reference.rescaled(0.01)
         assert scaled.closed.tolist() == reference.closed.tolist()
         np.testing.assert_allclose(scaled.lengths, 0.01 * reference.lengths, rtol=1e-12)
         here, there = reference.project(x), scaled.project(0.01 * x)
         np.testing.assert_allclose(there.distance, 0.01 * here.distance, atol=1e-12)
         np.testing.assert_allclose(there.arc, 0.01 * here.arc, atol=1e-9)
-    with pytest.raises(TypeError, match="cannot scale a PointCloud"):
-        scale_reference(circle_of_points(1.0), 2.0)

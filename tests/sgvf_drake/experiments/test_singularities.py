@@ -7,7 +7,6 @@ import pytest
 from sgvf_drake.experiments import run_singularities
 from sgvf_drake.experiments.figures.singularities import MARKS, plot_zeros
 from sgvf_drake.lyapunov import KINDS, FieldZeros, Zero
-from sgvf_drake.paths import tree_reference
 from sgvf_drake.plotting import new_figure
 from tests.helpers import ink, summary_of
 
@@ -79,7 +78,7 @@ def test_the_pictures_are_drawn(found):
 
 def test_a_field_without_zeros(make_field, tmp_path):
     field = make_field("robust")
-    reference = tree_reference(field.cloud), "cloud"
+    reference = field.network.path, "cloud"
     summary = run_singularities(field, reference, tmp_path / "out")
     assert [zero for zero in summary["zeros"] if zero["field"] != "tangent"] == []
     assert summary["vanishing"]["low_density"] is None

@@ -10,7 +10,7 @@ import pytest
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments import fly_tour
 from sgvf_drake.paths import ReferencePath
-from systems import MakeBranches, Mode, QuadrotorParameters, SensorParameters
+from systems import Mode, QuadrotorParameters, SensorParameters
 
 RADII = (1.0, 2.0)
 FORCES = [f"force_{number}" for number in (1, 2, 3, 4)]
@@ -47,10 +47,7 @@ def toured(flight_field, rings):
     )
 
 
-def test_pieces_come_in_the_asked_order(toured, flight_field):
-    # The supervisor counts the pieces in another order than the reference.
-    longest, _ = MakeBranches(flight_field, flight_field.cloud.points)
-    assert longest.length == pytest.approx(4 * np.pi, rel=0.01)
+def test_pieces_come_in_the_asked_order(toured):
     assert toured.completed
     assert [leg["piece"] for leg in toured.legs] == [0, 1, 0]
     assert [transfer["piece"] for transfer in toured.transfers] == [1, 0]

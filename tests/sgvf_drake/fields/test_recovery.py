@@ -10,7 +10,8 @@ from scipy.spatial.distance import pdist
 from sgvf_drake import ConfigurationError, GaussianMixture, PointCloud
 from sgvf_drake.fields import Perceptron, ScoreNetwork, find_activation, recover_waypoints
 from sgvf_drake.fields.importing import perceptron_from_arrays
-from sgvf_drake.paths import make_shape, tree_reference
+from sgvf_drake.paths import make_shape
+from sgvf_drake.paths.finding import find_paths
 
 
 def dense(path):
@@ -34,7 +35,7 @@ def test_the_path_of_an_exact_score(shape, sampling, sigma, largest):
     assert cKDTree(dense(path)).query(points)[0].max() < largest
     # All of it but for tips and gaps between waypoints, and every piece as one.
     assert cKDTree(points).query(dense(path))[0].max() < 0.5
-    pieces = tree_reference(PointCloud(points)).pieces
+    pieces = find_paths(PointCloud(points)).path.pieces
     assert [piece.closed for piece in pieces] == [True] * len(path.pieces)
     assert pdist(points).min() > 0.1
 
@@ -47,7 +48,7 @@ def test_the_path_of_a_learned_score(robust_field, concentric):
     distances = cKDTree(dense(concentric[1])).query(points)[0]
     assert distances.mean() < 0.05
     assert distances.max() < 0.15
-    pieces = tree_reference(PointCloud(points)).pieces
+    pieces = find_paths(PointCloud(points)).path.pieces
     assert [piece.closed for piece in pieces] == [True, True]
     lengths = [piece.length for piece in pieces]
     assert lengths == pytest.approx([8 * np.pi, 4 * np.pi], rel=0.03)

@@ -204,7 +204,8 @@ def test_a_bad_header_is_refused(whole, refuses):
     digest = "not those of the header's digest"
     normalisation = "the normalisation is not that of the waypoints"
     for key, value, match in (
-        ("version", 3, "version 3 of the format; this reads 1 and 2"),
+        ("version", 4, "version 4 of the format; this reads 1, 2, 3"),
+        ("version", 3, "network is missing"),
         ("version", [1], r"version \[1\] of the format"),
         ("version", None, "version None of the format"),
         ("digest", "0" * 64, digest),

@@ -10,8 +10,8 @@ import pytest
 from sgvf_drake.clouds import PointCloud
 from sgvf_drake.learning import SelfCheck, check_field
 from sgvf_drake.learning.self_check import STARTS, STARTS_AROUND, Fault, PieceCheck
-from sgvf_drake.learning.support import find_support
-from sgvf_drake.paths import make_shape
+from sgvf_drake.paths import ReferencePath, make_shape
+from sgvf_drake.paths.finding import find_paths
 
 ALL = STARTS + STARTS_AROUND
 
@@ -31,6 +31,10 @@ class Stand:
 
     def __call__(self, x):
         return self.value(x)
+
+    @property
+    def network(self):
+        return find_paths(self.cloud)
 
 
 def around(*radii, sign=1.0):
@@ -200,15 +204,11 @@ def test_only_the_pieces_that_were_learned_are_asked(cloud):
     assert len(check.pieces) == 1
     assert check.passed
     # With only its outer circle, nothing is said of the inner one.
-    support = find_support(cloud.normalize(cloud.points))
-    outer = replace(support, pieces=support.pieces[:1])
-    check = check_field(Stand(cloud, around(4.0)), outer)
+    path = find_paths(cloud).path
+    check = check_field(Stand(cloud, around(4.0)), ReferencePath(path.pieces[:1]))
     assert check.passed, check.message
     assert len(check.pieces) == 1
-    assert not check_field(Stand(cloud, around(4.0)), support).passed
-    nothing = SelfCheck(())
-    assert not nothing.passed
-    assert nothing.message == "no piece has 3 waypoints, so there is nothing to follow"
+    assert not check_field(Stand(cloud, around(4.0)), path).passed
 
 
 def test_it_is_written_as_json():

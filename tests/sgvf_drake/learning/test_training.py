@@ -23,6 +23,7 @@ from sgvf_drake.learning import SelfCheck, TrainingConfig, train, training
 from sgvf_drake.learning.optimization import Optimization
 from sgvf_drake.learning.self_check import Fault, PieceCheck
 from sgvf_drake.paths import make_shape
+from sgvf_drake.paths.finding import find_paths
 
 RECIPES = ("robust", "exact", "paper")
 EACH = pytest.mark.parametrize("recipe", RECIPES)
@@ -295,8 +296,8 @@ def checks(monkeypatch, *results):
     """Replaces the self-check by given results; returns the fields that it saw."""
     seen, rest = [], list(results)
 
-    def check(field, support):
-        assert support.sigma == field.sigma
+    def check(field, path):
+        assert path.dim == field.dim
         seen.append(field)
         return rest.pop(0)
 
@@ -404,7 +405,7 @@ def test_what_is_learned_from_is_kept_with_the_field(concentric):
     np.testing.assert_array_equal(support, cloud.denormalize(result.support.points))
     assert result.field.end_points is None
     # Noisy waypoints are replaced; the paper's recipe takes them as they are.
-    noisy, path = make_shape("circle", 40, noise=0.05)
+    noisy, path = make_shape("circle", 100, noise=0.05)
     support = train(noisy, short(1)).field.support
     assert len(support) > 100
     assert path.project(support).distance.max() < 0.2
@@ -412,6 +413,28 @@ def test_what_is_learned_from_is_kept_with_the_field(concentric):
     # Coincident ones are no crash.
     doubled = PointCloud(np.repeat(make_shape("circle", 30)[0].points, 5, axis=0))
     assert np.isfinite(train(doubled, short()).field(doubled.points)).all()
+
+
+def test_a_network_is_trained_on_as_it_is(concentric):
+    """Its lines are the waypoints, and its directions are kept."""
+    network = find_paths(concentric[0], direction=("cw", "ccw"))
+    field = train(network, short(600, recipe="exact")).field
+    assert field.network is network
+    for radius, sense in ((4.0, -1), (2.0, 1)):
+        x = radius * np.column_stack([np.cos(np.arange(60)), np.sin(np.arange(60))])
+        ccw = np.column_stack([-x[:, 1], x[:, 0]]) / radius
+        assert (sense * (field(x) * ccw).sum(axis=1)).min() > 0.9
+    with pytest.raises(ConfigurationError, match="closed: a network has its own"):
+        train(network, TrainingConfig(open=True))
+
+
+def test_paths_that_branch_are_refused_unless_anyway():
+    radius = np.linspace(0, 4, 60)
+    arms = [np.outer(radius, [np.cos(a), np.sin(a)]) for a in np.radians([90, 210, 330])]
+    cloud = PointCloud(np.concatenate(arms))
+    with pytest.raises(ConfigurationError, match=r"network, .* with 1 junction, 3 ends"):
+        train(cloud, short(1))
+    assert train(cloud, short(1, anyway=True)).network.count("junction") == 1
 
 
 # With a score that was trained before.

@@ -288,11 +288,9 @@ def test_a_dense_search_finds_no_other_zeros(name, part, request):
     dense = dense_zeros(function, field.cloud.box, cells=200, flat=1e-4)
     distance, _ = cKDTree(search.points).query(dense)
     assert distance.max(initial=0) < 1e-6
-    # The closed-form score of an open path is resampled, and flat along the path.
-    flat = (name, part) == ("open", "score")
-    assert search.undecided == flat
+    assert search.undecided == 0
     residual = np.linalg.norm(function(search.points), axis=1)
-    assert residual.max() < 1e-8 * (1e3 if flat else 1)
+    assert residual.max() < 1e-8
 
 
 def test_cells_cover_a_box_and_split():

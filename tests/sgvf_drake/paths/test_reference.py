@@ -1,11 +1,10 @@
-"""What is measured against: polylines and trees, their lengths and nearest points."""
+"""What is measured against: polylines, their lengths and nearest points."""
 
 import numpy as np
 import pytest
 
-from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import PointCloudError
-from sgvf_drake.paths import Piece, ReferencePath, make_shape, shape_path, tree_reference
+from sgvf_drake.paths import Piece, ReferencePath, shape_path
 
 L_SHAPE = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 3.0]])
 
@@ -108,45 +107,3 @@ def test_bad_references_are_refused():
     ):
         with pytest.raises(PointCloudError, match=match):
             make()
-
-
-def test_the_tree_of_a_cloud_as_a_reference():
-    cloud, path = make_shape("separated-circles")
-    tree = tree_reference(cloud)
-    assert tree.closed.all()
-    assert tree.dim == 2
-    np.testing.assert_allclose(tree.lengths, path.lengths, rtol=1e-3)
-    assert sorted(len(points) for points in tree.waypoints) == [100, 100]
-    x = np.random.default_rng(4).uniform(-5, 5, (2000, 2))
-    spacing = path.longest / 100
-    difference = tree.project(x).distance - path.project(x).distance
-    assert np.abs(difference).max() < spacing**2 / (8 * 1.5) * 1.01  # the sagitta
-    # Arc length grows along a tree and its closing edge.
-    cloud, path = make_shape("circle", num_points=50)
-    tree = tree_reference(cloud)
-    arc = tree.project(2.99 * path.pieces[0].sample(500) / 3).arc
-    steps = np.diff(arc, append=arc[:1])
-    steps -= tree.longest * np.round(steps / tree.longest)
-    assert (steps > 0).all()
-    assert steps.sum() == pytest.approx(tree.longest)
-    # Opened where a field has an end near its own ends, and nowhere else.
-    ends = tree.first_and_last(0)
-    assert not tree.opened_at(ends[:1], cloud.unit_length).closed[0]
-    assert tree.opened_at(-ends[:1], cloud.unit_length).closed[0]
-    assert tree.opened_at(np.empty((0, 2)), cloud.unit_length).closed[0]
-    # How near is told in U, whatever the unit of the waypoints.
-    beside = 1.1 * ends[:1]
-    for scale in (0.1, 1.0, 10.0):
-        scaled = tree_reference(PointCloud(scale * cloud.points))
-        assert not scaled.opened_at(scale * beside, scale * cloud.unit_length).closed[0]
-        assert scaled.opened_at(scale * 2 * ends[:1], scale * cloud.unit_length).closed[0]
-
-
-def test_side_branches_and_isolated_waypoints_belong_to_the_tree():
-    trunk = np.column_stack([np.arange(21.0), np.zeros(21)])
-    tree = tree_reference(PointCloud([*trunk, [10, 1], [10, 2], [10, 60]]))
-    projection = tree.project(np.array([[10.5, 1.5], [10, 57], [30, 0]]))
-    np.testing.assert_allclose(projection.distance, [0.5, 3, 10])
-    np.testing.assert_array_equal(projection.piece, [0, 1, 0])
-    np.testing.assert_allclose(projection.arc, [11.5, 0, 20])
-    np.testing.assert_allclose(tree.lengths, [20, 0])

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.paths import SHAPES, make_shape, shape_path, trace_pieces
+from sgvf_drake.paths import SHAPES, make_shape, shape_path
+from sgvf_drake.paths.finding import find_paths
 from sgvf_drake.paths.shapes import regular_polygon
 
 LENGTHS = {
@@ -56,9 +57,9 @@ def test_waypoints_lie_on_the_path_and_cover_it(name, sampling):
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_the_tree_finds_the_pieces(name):
+def test_the_pieces_are_found(name):
     cloud, path = make_shape(name)
-    pieces = trace_pieces(cloud.points)
+    pieces = find_paths(cloud).path.pieces
     assert [piece.closed for piece in pieces] == [True] * len(path.pieces)
     lengths = [piece.length for piece in pieces]
     np.testing.assert_allclose(sorted(lengths), np.sort(path.lengths), rtol=0.04)
