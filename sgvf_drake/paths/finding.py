@@ -125,10 +125,10 @@ def find_paths(
             points, weights = thin(points, weights, THINNING_CELL * sigmas[0])
         scales = [_at_scale(points, weights, s) for s in sigmas]
         voted, unsure = _vote(points, scales, passes)
-        if tours is not None and tours.is_sparse:
-            # Only strands that meet are left to the ridge.
-            if voted is None or not tours.meet_in(voted.graph):
-                voted, unsure = _from_tours(tours, points)
+        # Of sparse clouds, only strands that meet are left to the ridge.
+        met = tours is not None and voted is not None and tours.meet_in(voted.graph)
+        if tours is not None and tours.is_sparse and not met:
+            voted, unsure = _from_tours(tours, points)
         if voted is None:
             what = "one path of which they are passes" if passes else "path"
             raise PointCloudError(f"the waypoints show no {what} at any scale")

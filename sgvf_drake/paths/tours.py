@@ -207,8 +207,9 @@ class Tours:
         exchanged = -np.maximum(self._turned, self._crossed)[changes]
         widths = np.abs(self._steps - self._gap)[self._steps > 0]
         # A short loop may be an open path, there and back, which would cost a gap instead.
-        loops = [self._steps[self._cycle == k] for k in range(len(self.cycles))]
-        opened = [loop.sum() / 2 - self._gap for loop in loops if loop.max() < self._gap]
+        tours = [self._cycle == k for k in range(len(self.cycles))]
+        loops = [tour for tour in tours if not self._is_gap[tour].any()]
+        opened = [self._steps[loop].sum() / 2 - self._gap for loop in loops]
         return float(min(math.inf, *exchanged, *widths, *opened))
 
     def paths(self) -> list[tuple[IntArray, bool]]:
