@@ -156,8 +156,8 @@ class Draft:
         if not given and any(self._recording.runs_apart(k) for k in single):
             self._doubt = (
                 "the order of the points runs one way up to a place and the other way beyond "
-                "it, as of several motions to one end; that it is one path to be followed is "
-                "for you to say (direction, start)"
+                "it, as of several motions to one end; that it is one path, a direction "
+                "decides (direction, start)"
             )
         if not given and self._cloud.velocities is not None:
             self._messages.append("the velocities give the direction of travel")

@@ -314,7 +314,7 @@ def _width_at_start(
 
 
 def _ahead(line: Piece, before: float, at: float) -> FloatArray:
-    """The place that lies as far ahead of one arc length as that is ahead of another, (1, d)."""
+    """The place as far ahead of one arc length as that is of another, (1, d)."""
     places = line.at(np.array([before, at]))
     step = places[1] - places[0]
     return np.asarray(places[1:] + abs(at - before) * step / np.linalg.norm(step))

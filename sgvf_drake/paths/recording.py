@@ -50,10 +50,10 @@ class Recording:
         if self.closed[route] or _is_one_way(step.sum(), step):
             return False
         before = np.cumsum(step[np.argsort(at, kind="stable")])
-        return len(step) > 0 and _is_one_way((2 * before - before[-1]), step)
+        return len(step) > 0 and _is_one_way(2 * before - before[-1], step)
 
     def _steps(self, route: int) -> tuple[FloatArray, FloatArray]:
-        """The arc lengths at which steps along a route begin, (n,), and what they go on, (n,)."""
+        """Where steps along a route begin, (n,), and by how much they go on, (n,)."""
         both = (self.route[:-1] == route) & (self.route[1:] == route)
         if both.sum() < FEWEST_STEPS:
             return np.zeros(0), np.zeros(0)
