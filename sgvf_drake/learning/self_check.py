@@ -206,6 +206,10 @@ class _Checker:
         if not piece.closed:
             along[[0, -1]] = along[[1, -2]]
         against = along * (1 if along.sum() >= 0 else -1) < 0
+        if piece.closed:
+            # A stretch through the first place is one.
+            first = int(np.argmin(against))
+            line, against = (np.roll(values, -first, axis=0) for values in (line, against))
         steps = np.linalg.norm(np.diff(line, axis=0, append=line[-1:]), axis=1)
         stretches = np.split(np.arange(len(line)), np.flatnonzero(np.diff(against)) + 1)
         return [

@@ -9,6 +9,7 @@ All lengths are in units of the cloud (U).
 """
 
 from dataclasses import dataclass
+import math
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -41,6 +42,9 @@ to visit it is a detour of this many."""
 STEPS, STEP_PERCENTILE = 21, 75
 """Three of four steps of a line around a place are no longer than one: each stray makes two
 that are."""
+
+WIDTH = math.sqrt(12)
+"""Width of a bundle in its scatter, if its passes are spread evenly."""
 
 BANDWIDTH = 1.5
 """Standard deviation of the kernel of a fit, in spacings or scatters, whichever is larger."""
@@ -240,6 +244,8 @@ def _fit(
     scatter = local_scatter(own.arc, own.points, period)
     fitted = own
     if period is None and float(np.median(scatter)) > BUNDLE * spacing:
+        rough = _with_straight_ends(rough, marks, pinned, own.arc, scatter, sigma)
+        own = _ordered_along(rough, own)
         fitted = _without_overhang(own, pinned, step=2 * sigma)
         scatter = local_scatter(fitted.arc, fitted.points, period)
     as_they_are = spacing > SPARSE or float(np.median(scatter)) < CLEAN * spacing
@@ -271,6 +277,64 @@ def _fit(
         own.index,
         np.interp(own.arc, known, lengths),
     )
+
+
+def _with_straight_ends(
+    rough: Piece,
+    marks: FloatArray,
+    pinned: list[float],
+    arc: FloatArray,
+    scatter: FloatArray,
+    sigma: float,
+) -> Piece:
+    """Goes on straight where less of a line is left than the bundle is wide.
+
+    There its waypoints spread more across it than along it, so its ridge may turn across.
+    Arc lengths stay as they are.
+
+    Args:
+        rough: The line, which goes on straight beyond the ends of its ridge.
+        marks: Arc lengths of its nodes.
+        pinned: Arc lengths of the ends that are nodes, and no ends of the bundle.
+        arc: Arc lengths of the waypoints, rising, (n,).
+        scatter: Their scatter across the line, (n,).
+        sigma: The scale.
+    """
+    length = rough.length
+    first = 0.0 if 0.0 in pinned else _width_at_start(arc, scatter, marks[1], sigma)
+    last = length
+    if not any(s > 0 for s in pinned):
+        last -= _width_at_start(length - arc[::-1], scatter[::-1], length - marks[-2], sigma)
+    inner = rough.arc[(rough.arc > first) & (rough.arc < last)]
+    line = rough.at(np.concatenate([[first], inner, [last]]))
+    if first > 0:
+        line = np.concatenate([_ahead(rough, 2 * first, first), line])
+    if last < length:
+        line = np.concatenate([line, _ahead(rough, 2 * last - length, last)])
+    return Piece(line, closed=False)
+
+
+def _width_at_start(
+    arc: FloatArray, scatter: FloatArray, next_node: float, sigma: float
+) -> float:
+    """The arc length at which as much of a line lies behind as its bundle is wide there."""
+    reach = CONTRACTION * sigma
+    wide = arc - reach < WIDTH * scatter + sigma
+    return float(min(arc[wide].max(initial=0.0), next_node / 3))
+
+
+def _ahead(line: Piece, before: float, at: float) -> FloatArray:
+    """The place as far ahead of one arc length as that is of another, (1, d)."""
+    places = line.at(np.array([before, at]))
+    step = places[1] - places[0]
+    return np.asarray(places[1:] + abs(at - before) * step / np.linalg.norm(step))
+
+
+def _ordered_along(line: Piece, own: Ordered) -> Ordered:
+    """Puts waypoints in their order along another line."""
+    arc = ReferencePath((line,)).project(own.points).arc
+    order = np.argsort(arc, kind="stable")
+    return Ordered(own.index[order], arc[order], own.points[order], own.weights[order])
 
 
 def _without_overhang(own: Ordered, pinned: list[float], step: float) -> Ordered:

@@ -156,6 +156,59 @@ def test_demonstrations_of_one_motion() -> None:
     assert decided.length == pytest.approx(mean, rel=0.1)
 
 
+def fan(seed: int, bend: float) -> list[Array]:
+    """Seven passes round a bend to one end, from places side by side, where they are slow."""
+    rng = np.random.default_rng(seed)
+    u = np.linspace(0, 1, 250) ** 1.5
+    along, angle = 60 * u, np.radians(bend) * np.clip(2 * u - 0.8, 0, 1)
+    step = np.gradient(along)[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+    motion = np.cumsum(step, axis=0)
+    offsets = rng.permutation(np.linspace(-5, 5, 7)) + rng.normal(0, 0.5, 7)
+    return [
+        motion - motion[-1] + np.outer((1 - u) ** 0.7, (rng.normal(0, 1), offset))
+        for offset in offsets
+    ]
+
+
+@pytest.mark.parametrize("bend", [0.0, 80.0, -150.0])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_no_line_turns_across_the_end_of_a_fan(seed: int, bend: float) -> None:
+    passes = fan(seed, bend)
+    network = find_paths(PointCloud(np.concatenate(passes)), passes=True)
+    assert topology(network) == STRAND
+    assert network.length == pytest.approx(np.mean([length(p) for p in passes]), rel=0.1)
+    # It begins among the places from where the passes start, which are 10 apart.
+    starts = np.mean([p[0] for p in passes], axis=0)
+    assert np.abs(network.routes[0].line.vertices[0] - starts).max() < 6
+
+
+def test_passes_that_part_are_of_several_paths_or_of_one() -> None:
+    points = np.concatenate(demonstrations(1))
+    network = find_paths(PointCloud(points))
+    assert network.unsure is not None
+    assert "passes" in network.unsure
+    assert topology(find_paths(PointCloud(points), passes=True)) == STRAND
+    # On a path that branches, the stem has no more waypoints than each of its arms.
+    branching = SHAPES["Y"].sample(400, 0.05, random=True, seed=0)
+    assert find_paths(PointCloud(branching)).unsure is None
+
+
+def test_motions_from_both_sides_to_one_end_are_no_path_to_be_followed() -> None:
+    rng = np.random.default_rng(0)
+    u = np.linspace(0, 1, 200)[:, None]
+    motions = [np.hstack([side * 50 * (1 - u), 15 * np.sin(4 * (1 - u))]) for side in (-1, 1)]
+    passes = [m + (1 - u) * rng.normal(0, 1, 2) for m in motions for _ in range(4)]
+    recording = np.concatenate(passes)
+    network = find_paths(PointCloud(recording))
+    assert topology(network) == STRAND
+    assert network.unsure is not None
+    assert "direction" in network.unsure
+    # Away from one place is no path either; with a direction, or in no order, it is one.
+    assert find_paths(PointCloud(recording[::-1])).unsure is not None
+    assert find_paths(PointCloud(recording), direction="reverse").unsure is None
+    assert find_paths(PointCloud(rng.permutation(recording))).unsure is None
+
+
 def test_two_laps() -> None:
     rng = np.random.default_rng(2)
     normal = np.gradient(LAP, axis=0) @ np.array([[0, 1], [-1, 0]])
