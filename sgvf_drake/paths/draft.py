@@ -41,7 +41,6 @@ class Draft:
         self._cloud, self._points, self._weights = cloud, points, weights
         self._graph, self._sigma = graph, sigma
         self._messages: list[str] = []
-        self._doubt: str | None = None
         place_nodes(graph, sigma)
         self._fit()
 
@@ -153,12 +152,6 @@ class Draft:
             if self._is_against(k, course.line, choice, start):
                 self._routes[k], self._courses[k] = reversed_route(chain, course)
         given = direction is not None or start is not None
-        if not given and any(self._recording.runs_apart(k) for k in single):
-            self._doubt = (
-                "the order of the points runs one way up to a place and the other way beyond "
-                "it, as of several motions to one end; that it is one path, a direction "
-                "decides (direction, start)"
-            )
         if not given and self._cloud.velocities is not None:
             self._messages.append("the velocities give the direction of travel")
         elif not given and any(self._recording.direction(k) for k in single):
@@ -207,7 +200,6 @@ class Draft:
                 )
                 # What lies between the passes, and not between paths, left the scales unsure.
                 unsure = None
-        unsure = unsure or self._doubt
         nodes, edges, routes = number(self._graph, self._routes, self._courses, self._weights)
         cloud, U = self._cloud, self._cloud.unit_length
         kept = np.array([self._weights[course.waypoints].sum() for course in self._courses])

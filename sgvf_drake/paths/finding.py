@@ -11,7 +11,7 @@ strands meet.
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -59,15 +59,6 @@ FEW_VOTES = 2
 LEAST_SHARE, LEAST_SHARE_ALONE = 0.18, 0.36
 """A topology is sure if this share of the scales shows it, and persistence has as many loops;
 or if this share shows it in space, where there is no second opinion."""
-
-PARTED = 0.75
-"""Between the density of a stem in those of its two arms together where a path branches, a
-half, and where passes part, one."""
-
-FANS_OUT = (
-    "the waypoints before a junction are shared between its two arms, as by passes that part: "
-    "of several paths, or of one that fans out (passes), or a scale to look at (sigma) decides"
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,31 +136,7 @@ def find_paths(
     draft = Draft(cloud, points, weights, chosen.graph, chosen.sigma)
     draft.use_recording(closed)
     draft.give_directions(direction, start)
-    network = draft.network(unsure)
-    if network.unsure is None and sigma is None and _fans_out(network):
-        return replace(network, unsure=FANS_OUT)
-    return network
-
-
-def _fans_out(network: PathNetwork) -> bool:
-    """Whether a strand parts into two loose arms that share its waypoints between them.
-
-    On a path that branches, waypoints are as dense on the arms as on the stem; passes that part
-    are as many on the arms together.
-    """
-    for number, node in enumerate(network.nodes):
-        arms = [edge for edge in network.edges if edge.nodes and number in edge.nodes]
-        if node.kind != "junction" or len(arms) != 3:
-            continue
-        *loose, stem = sorted(arms, key=lambda edge: edge.weight / edge.length)
-        ends = {i for edge in loose for i in edge.nodes or ()} - {number}
-        density = sum(edge.weight / edge.length for edge in loose)
-        if (
-            all(network.nodes[i].kind == "end" for i in ends)
-            and stem.weight / stem.length > PARTED * density
-        ):
-            return True
-    return False
+    return draft.network(unsure)
 
 
 def _ladder(points: FloatArray) -> list[float]:

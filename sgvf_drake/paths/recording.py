@@ -40,29 +40,16 @@ class Recording:
 
     def direction(self, route: int) -> int:
         """1 if the waypoints are in order along a route, -1 if against it, 0 if neither."""
-        _, step = self._steps(route)
-        total = step.sum()
-        return int(np.sign(total)) if _is_one_way(total, step) else 0
-
-    def runs_apart(self, route: int) -> bool:
-        """Whether an open route is recorded one way up to a place, the other way beyond it."""
-        at, step = self._steps(route)
-        if self.closed[route] or _is_one_way(step.sum(), step):
-            return False
-        before = np.cumsum(step[np.argsort(at, kind="stable")])
-        return len(step) > 0 and _is_one_way(2 * before - before[-1], step)
-
-    def _steps(self, route: int) -> tuple[FloatArray, FloatArray]:
-        """Where steps along a route begin, (n,), and by how much they go on, (n,)."""
         both = (self.route[:-1] == route) & (self.route[1:] == route)
         if both.sum() < FEWEST_STEPS:
-            return np.zeros(0), np.zeros(0)
+            return 0
         step = np.diff(self.arc)[both]
         if self.closed[route]:
             half = self.lengths[route] / 2
             step = (step + half) % (2 * half) - half
-        longest = LONGEST_STEP * np.median(np.abs(step))
-        return self.arc[:-1][both], np.clip(step, -longest, longest)
+        size = np.minimum(np.abs(step), LONGEST_STEP * np.median(np.abs(step)))
+        forward = float(size[step > 0].sum() / max(size.sum(), 1e-300))
+        return 1 if forward >= ONE_WAY else -1 if forward <= 1 - ONE_WAY else 0
 
     def ends(self, route: int) -> FloatArray:
         """The first and the last waypoint of a route in the order of the file, (2, d)."""
@@ -98,11 +85,6 @@ class Recording:
             )
             for k in np.flatnonzero(goes_on & (side[:-1] >= 0) & (side[1:] >= 0)).tolist()
         ]
-
-
-def _is_one_way(gain: FloatArray | float, step: FloatArray) -> bool:
-    """Whether steps that gain so much, on balance, lead one way."""
-    return float(np.abs(gain).max()) > (2 * ONE_WAY - 1) * float(np.abs(step).sum())
 
 
 @dataclass(frozen=True, eq=False)
