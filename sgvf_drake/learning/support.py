@@ -131,12 +131,13 @@ def find_support(
             [line.at(arc) for line, arc in zip(path.pieces, arcs, strict=True)]
         )
         piece, arc = np.repeat(np.arange(len(arcs)), list(map(len, arcs))), np.concatenate(arcs)
+        width = level
     else:
         level = sigma or min(max(fine, coarse), SIGMA_CEILING)
-        piece, arc = foot.piece, foot.arc
+        piece, arc, width = foot.piece, foot.arc, max(level, spacing)
     tangents = np.empty_like(points)
     for k, line in enumerate(path.pieces):
-        tangents[piece == k] = tangents_at(line, arc[piece == k], max(level, spacing))
+        tangents[piece == k] = tangents_at(line, arc[piece == k], width)
     stops = [strand.line.vertices[-1] for strand in strands if strand.stops]
     return Support(
         points,
