@@ -8,7 +8,7 @@ import typer
 from sgvf_drake.cli.application import app, errors
 from sgvf_drake.cli.options import Columns, Out, Overwrite, columns_of, directions_of, point_of
 from sgvf_drake.cli.tables import print_folder, print_messages, print_table
-from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.exceptions import ConfigurationError, PointCloudError
 
 
 @app.command()
@@ -55,7 +55,10 @@ def paths(
         "start": point_of(start),
         "sigma": sigma,
     }
-    summary = run_paths(cloud, out, overwrite=overwrite, **options)
+    try:
+        summary = run_paths(cloud, out, overwrite=overwrite, **options)
+    except PointCloudError as error:
+        raise PointCloudError(f"{points}: {error}") from error
     print_messages(summary["messages"][len(cloud.messages) :])
     _print_network(summary)
     print_folder(out)

@@ -211,7 +211,9 @@ def _told(
         axes = "east, north, up" if points.shape[1] > 2 else "east, north"
         taken, unit = f"{taken} to metres {axes} about {origin_text(origin)}", "m"
     moving = ", velocities " + ", ".join(map(table.label, choice.velocities))
-    spans = np.ptp(points, axis=0)
+    # Numbers of any size: a cloud that spans too much is refused as a whole.
+    with np.errstate(over="ignore"):
+        spans = np.ptp(points, axis=0)
     # Less than that is rounding.
     spans = np.where(spans > SMALLEST_PART * spans.max(), spans, 0)
     extent = " x ".join(_length(value) + (f" {unit}" if unit else "") for value in spans)
@@ -241,7 +243,7 @@ def _left_out(table: Table, choice: Choice) -> list[str]:
 
 def _constant(table: Table, choice: Choice, points: FloatArray) -> list[str]:
     """A note on a coordinate that is the same everywhere, with what to do."""
-    still = [int(axis) for axis in np.flatnonzero(np.ptp(points, axis=0) == 0)]
+    still = [int(axis) for axis in np.flatnonzero((points == points[0]).all(axis=0))]
     if len(points) < 2 or not still or len(still) == points.shape[1]:
         return []
     column = choice.columns[still[0]]

@@ -79,6 +79,18 @@ def test_options_and_bad_input(run, refused, cloud, tmp_path):
     assert not (tmp_path / "none").exists()
 
 
+def test_clouds_that_no_path_fits_are_refused_with_the_name_of_their_file(refused, tmp_path):
+    grid = "".join(f"{n % 10},{n // 10}\n" for n in range(50))
+    for content in (
+        "x,y\n1e308,1e308\n-1e308,-1e308\n0,1e308\n",
+        f"x,y\n{grid}1e90,0\n",
+    ):
+        path = tmp_path / "odd.csv"
+        path.write_text(content)
+        assert "odd.csv: " in refused("paths", path, "--out", tmp_path / "none")
+    assert not (tmp_path / "none").exists()
+
+
 def test_a_damaged_network_is_one_error(tmp_path):
     for text in (
         "",
