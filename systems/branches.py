@@ -18,8 +18,9 @@ from sgvf_drake.fields.base import Field
 from sgvf_drake.paths import ReferencePath
 from systems.guidance import FieldForSpeed
 
-FEWEST_POINTS = 100
-"""Points of a branch, unless its line has more vertices."""
+POINTS_OF_EXTENT = 80
+"""Points of a branch in a length as long as the path is wide: a tenth of a U apart.  A
+supervisor looks for the nearest whenever it acts, so they are not all vertices of a line."""
 
 MAX_DEPARTURES = 20
 """Places on a branch from which a departure is tried, and entries that are tried for each."""
@@ -137,9 +138,10 @@ def MakeBranches(field: Field, path: ReferencePath) -> tuple[Branch, ...]:
         field: The guiding field, in metres; it tells the direction of travel.
         path: The path, in m; that of a learned field is `field.path`.
     """
+    extent = np.ptp(np.concatenate([piece.vertices for piece in path.pieces]), axis=0).max()
     branches = []
     for piece in path.pieces:
-        points = piece.sample(max(FEWEST_POINTS, len(piece.vertices)))
+        points = piece.sample(2 + round(POINTS_OF_EXTENT * piece.length / extent))
         steps = np.diff(points, axis=0)
         if float(np.sum(field(points[:-1]) * steps)) < 0.0:
             points = points[::-1]

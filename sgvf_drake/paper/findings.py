@@ -26,6 +26,9 @@ This page is made from the rows of a full run of `sgvf reproduce`
 (`python -m sgvf_drake.paper.findings docs/results`), and a test holds it to them. Intervals
 are 95 % over the seeds; U is an eighth of the path's extent. A verdict follows by a rule in
 code from the figures that stand with the claim in the section of its experiment.
+
+The rows are older than the network of paths: fields were trained, and waypoints sorted for the
+classical fields, by a spanning tree.
 """
 
 PICTURES = {

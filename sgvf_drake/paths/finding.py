@@ -6,7 +6,7 @@ persistence of the alpha complex tells the number of loops independently.  Where
 agree, or both ways differ, the network is returned all the same, and says that it is unsure.
 
 The paths through sparse waypoints are the shortest ones instead, unless the ridge shows where
-strands meet.
+strands meet; so are those through few and even ones, where they are sure.
 """
 
 from collections import defaultdict
@@ -117,22 +117,19 @@ def find_paths(
     points = points[np.lexsort(points.T[::-1])]
     weights = np.ones(len(points))
     tours = None if passes or sigma is not None else find_tours(points)
-    if tours is not None and (tours.apart if tours.is_sparse else tours.sure):
-        chosen, unsure = _from_tours(tours, points)
-    else:
+    chosen, unsure = (None, None) if tours is None else _from_tours(tours, points)
+    if tours is None or not (tours.apart if tours.is_sparse else unsure is None):
         sigmas = [sigma] if sigma is not None else _ladder(points)
         if len(points) > MANY_POINTS:
             points, weights = thin(points, weights, THINNING_CELL * sigmas[0])
         scales = [_at_scale(points, weights, s) for s in sigmas]
-        voted, unsure = _vote(points, scales, passes)
+        voted, doubt = _vote(points, scales, passes)
         # Of sparse clouds, only strands that meet are left to the ridge.
-        met = tours is not None and voted is not None and tours.meet_in(voted.graph)
-        if tours is not None and tours.is_sparse and not met:
-            voted, unsure = _from_tours(tours, points)
-        if voted is None:
-            what = "one path of which they are passes" if passes else "path"
-            raise PointCloudError(f"the waypoints show no {what} at any scale")
-        chosen = voted
+        if tours is None or not tours.is_sparse or (voted and tours.meet_in(voted.graph)):
+            chosen, unsure = voted, doubt
+    if chosen is None:
+        what = "one path of which they are passes" if passes else "path"
+        raise PointCloudError(f"the waypoints show no {what} at any scale")
     draft = Draft(cloud, points, weights, chosen.graph, chosen.sigma)
     draft.use_recording(closed)
     draft.give_directions(direction, start)

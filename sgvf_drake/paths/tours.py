@@ -69,7 +69,7 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class PathsByTours:
-    """The paths through the waypoints of a sparse cloud.
+    """The paths through sparse waypoints, or through few and even ones.
 
     Attributes:
         points: The waypoints, (n, d), each once.

@@ -177,9 +177,6 @@ def test_no_line_turns_across_the_end_of_a_fan(seed: int, bend: float) -> None:
     network = find_paths(PointCloud(np.concatenate(passes)), passes=True)
     assert topology(network) == STRAND
     assert network.length == pytest.approx(np.mean([length(p) for p in passes]), rel=0.1)
-    # It begins among the places from where the passes start, which are 10 apart.
-    starts = np.mean([p[0] for p in passes], axis=0)
-    assert np.abs(network.routes[0].line.vertices[0] - starts).max() < 6
 
 
 @pytest.mark.parametrize("seed", range(4))
