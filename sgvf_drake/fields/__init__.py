@@ -21,6 +21,7 @@ from sgvf_drake.fields.composition import (
     PaperComposition,
     RobustComposition,
 )
+from sgvf_drake.fields.directed import DirectedField, HeldField, MemoryField
 from sgvf_drake.fields.guiding import (
     GuidingField,
     ScoreField,
@@ -32,6 +33,7 @@ from sgvf_drake.fields.mixture import GaussianMixture
 from sgvf_drake.fields.perceptron import FourierFeatures, Perceptron, ScoreNetwork
 from sgvf_drake.fields.recovery import recover_waypoints
 from sgvf_drake.fields.storage import save_field
+from sgvf_drake.fields.strands import StrandMixture, StrandNetwork
 
 __all__ = [
     "PAPER_GAIN",
@@ -43,14 +45,17 @@ __all__ = [
     "Composition",
     "Curve",
     "CurveField",
+    "DirectedField",
     "Field",
     "FloatArray",
     "FourierCurve",
     "FourierFeatures",
     "GaussianMixture",
     "GuidingField",
+    "HeldField",
     "ImplicitField",
     "LagrangeCurve",
+    "MemoryField",
     "NormalisedComposition",
     "PaperComposition",
     "ParametricField",
@@ -59,6 +64,8 @@ __all__ = [
     "RobustComposition",
     "ScoreField",
     "ScoreNetwork",
+    "StrandMixture",
+    "StrandNetwork",
     "TangentField",
     "find_activation",
     "import_field",

@@ -13,13 +13,8 @@ from sgvf_drake.fields.base import FloatArray
 COMPLEX_STEP = 1e-30
 
 
-class AnalyticField(ABC):
-    """A field whose formulas are analytic, in the normalised units of its cloud.
-
-    Calls take and return NumPy float64 in the unit of the waypoints, for one point (d,) or
-    a batch (n, d).  Kinds give the value and the Jacobian at normalised points, real or
-    complex.
-    """
+class NormalisedByCloud:
+    """What is given in the unit of the waypoints, and computed in normalised units."""
 
     cloud: PointCloud
     """The waypoints; their extent is the normalisation."""
@@ -28,6 +23,23 @@ class AnalyticField(ABC):
     def dim(self) -> int:
         """The dimension d of the space."""
         return self.cloud.dim
+
+    def _normalized(self, x: FloatArray) -> tuple[FloatArray, tuple[int, ...]]:
+        x = np.asarray(x, dtype=np.float64)
+        if x.ndim not in (1, 2) or x.shape[-1] != self.dim:
+            raise ValueError(
+                f"expected positions of shape ({self.dim},) or (n, {self.dim}), not {x.shape}"
+            )
+        return self.cloud.normalize(np.atleast_2d(x)), x.shape
+
+
+class AnalyticField(NormalisedByCloud, ABC):
+    """A field whose formulas are analytic, in the normalised units of its cloud.
+
+    Calls take and return NumPy float64 in the unit of the waypoints, for one point (d,) or
+    a batch (n, d).  Kinds give the value and the Jacobian at normalised points, real or
+    complex.
+    """
 
     def __call__(self, x: FloatArray) -> FloatArray:
         """Returns the value: (d,) -> (d,), or (n, d) -> (n, d).
@@ -63,14 +75,6 @@ class AnalyticField(ABC):
     @abstractmethod
     def _value_and_jacobian(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Returns the value (n, d) and its derivative by z (n, d, d)."""
-
-    def _normalized(self, x: FloatArray) -> tuple[FloatArray, tuple[int, ...]]:
-        x = np.asarray(x, dtype=np.float64)
-        if x.ndim not in (1, 2) or x.shape[-1] != self.dim:
-            raise ValueError(
-                f"expected positions of shape ({self.dim},) or (n, {self.dim}), not {x.shape}"
-            )
-        return self.cloud.normalize(np.atleast_2d(x)), x.shape
 
 
 def check_positive(name: str, value: float) -> None:

@@ -1,4 +1,4 @@
-"""`ComposedField`: what a guiding field is made of, and its evaluation in NumPy float64."""
+"""What guiding fields of score and tangent share, and the one of the position alone."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -8,7 +8,7 @@ from typing import Any, Self
 import numpy as np
 
 from sgvf_drake.clouds import PointCloud
-from sgvf_drake.fields.analytic import AnalyticField, check_positive
+from sgvf_drake.fields.analytic import AnalyticField, NormalisedByCloud, check_positive
 from sgvf_drake.fields.base import FloatArray
 from sgvf_drake.fields.composition import Composition, RobustComposition
 from sgvf_drake.fields.mixture import GaussianMixture
@@ -17,9 +17,9 @@ from sgvf_drake.fields.rest import Rest
 from sgvf_drake.paths import PathNetwork, ReferencePath, shape_path
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class ComposedField(AnalyticField):
-    """The field m = s + v of a cloud of waypoints, composed of a score and a tangent.
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class ScoreInducedField(NormalisedByCloud):
+    """A field m = s + v of a cloud of waypoints, composed of a score and a tangent.
 
     Calls take and return NumPy float64 in the unit of the waypoints, for one point (d,) or
     a batch (n, d).  |m| is about 1 on the path whatever the unit, so speed times m is a
@@ -28,9 +28,7 @@ class ComposedField(AnalyticField):
     Attributes:
         cloud: The waypoints it was made from; their extent is the normalisation.
         sigma: The noise level of the score, normalised units.
-        score_model: The raw score S, a network or the exact mixture.
-        tangent_network: The network N of the tangent field, d inputs and d outputs.
-        composition: How S and N make m.
+        composition: How the score S and the tangent N make m.
         recipe: `paper`, `robust` or `exact`; `imported` where it was trained elsewhere.
         seed: The seed of the training run.
         support: The points whose mixture the score is that of, (M, d) in the user's unit;
@@ -44,8 +42,6 @@ class ComposedField(AnalyticField):
 
     cloud: PointCloud
     sigma: float
-    score_model: ScoreNetwork | GaussianMixture
-    tangent_network: Perceptron
     composition: Composition
     recipe: str
     seed: int
@@ -88,26 +84,6 @@ class ComposedField(AnalyticField):
         shape = self.cloud.shape
         return self.network.path if shape is None else shape_path(shape)
 
-    def score(self, x: FloatArray) -> FloatArray:
-        """Returns the raw score S ~ grad log p at t = 1, per unit of length."""
-        z, shape = self._normalized(x)
-        return self.score_model.score(z).reshape(shape) / self.cloud.unit_length
-
-    def tangent(self, x: FloatArray) -> FloatArray:
-        """Returns the tangent field v, no unit."""
-        z, shape = self._normalized(x)
-        return self.composition.tangent(self.tangent_network(z)).reshape(shape)
-
-    def components(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Returns s and v of m = s + v as they stand in m: the normalised score, the rest.
-
-        Of shape (d,) or (n, d), as x.  In the robust composition both are weighted, and the
-        part of the score along the tangent is taken out near the path.
-        """
-        z, shape = self._normalized(x)
-        s, v = self._components(z)
-        return s.reshape(shape), v.reshape(shape)
-
     def rescaled(self, factor: float) -> Self:
         """Returns the same field in another unit: positions are multiplied by `factor`.
 
@@ -149,12 +125,10 @@ class ComposedField(AnalyticField):
         gain = self.sigma**2 * self.cloud.unit_length / length
         return replace(self, composition=replace(self.composition, gain=gain))
 
-    def _value(self, z: FloatArray) -> FloatArray:
-        s, v = self._components(z)
-        return s + v
-
-    def _components(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
-        S, N = self.score_model.score(z), self.tangent_network(z)
+    def _composed(
+        self, z: FloatArray, S: FloatArray, N: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Returns s and v at normalised points, (n, d) each."""
         s, v = self.composition.components(S, N)
         if self._rest is not None:
             w = self._rest.weight(z)[:, None]
@@ -162,9 +136,13 @@ class ComposedField(AnalyticField):
             s, v = s + w * (s_rest - s), v + w * (v_rest - v)
         return s, v
 
-    def _value_and_jacobian(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
-        S, dS = self.score_model.score_and_jacobian(z)
-        N, dN = self.tangent_network.value_and_jacobian(z)
+    def _composed_and_jacobian(
+        self, z: FloatArray, S: FloatArray, dS: FloatArray, N: FloatArray, dN: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Returns m (n, d) and its derivatives (n, d, k), from those of S and N (n, d, k).
+
+        The first d of the k variables are the position.
+        """
         m, by_score, by_tangent = self.composition.value_and_partials(S, N)
         J = by_score @ dS + by_tangent @ dN
         if self._rest is None:
@@ -173,7 +151,8 @@ class ComposedField(AnalyticField):
         rest, by_score, by_tangent = self._rest.composition.value_and_partials(S, N)
         change = rest - m
         J_rest = by_score @ dS + by_tangent @ dN
-        J = J + w[:, None, None] * (J_rest - J) + change[:, :, None] * dw[:, None, :]
+        J = J + w[:, None, None] * (J_rest - J)
+        J[:, :, : z.shape[1]] += change[:, :, None] * dw[:, None, :]
         return m + w[:, None] * change, J
 
     @cached_property
@@ -181,3 +160,50 @@ class ComposedField(AnalyticField):
         if len(self.ends) == 0 or not isinstance(self.composition, RobustComposition):
             return None
         return Rest.at(self.cloud.normalize(self.ends), self.composition)
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class ComposedField(ScoreInducedField, AnalyticField):
+    """A guiding field m(x) of the position alone.
+
+    Attributes:
+        score_model: The raw score S, a network or the exact mixture.
+        tangent_network: The network N of the tangent field, d inputs and d outputs.
+    """
+
+    score_model: ScoreNetwork | GaussianMixture
+    tangent_network: Perceptron
+
+    def score(self, x: FloatArray) -> FloatArray:
+        """Returns the raw score S ~ grad log p at t = 1, per unit of length."""
+        z, shape = self._normalized(x)
+        return self.score_model.score(z).reshape(shape) / self.cloud.unit_length
+
+    def tangent(self, x: FloatArray) -> FloatArray:
+        """Returns the tangent field v, no unit."""
+        z, shape = self._normalized(x)
+        return self.composition.tangent(self.tangent_network(z)).reshape(shape)
+
+    def components(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Returns s and v of m = s + v as they stand in m: the normalised score, the rest.
+
+        Of shape (d,) or (n, d), as x.  In the robust composition both are weighted, and the
+        part of the score along the tangent is taken out near the path.
+        """
+        z, shape = self._normalized(x)
+        s, v = self._components(z)
+        return s.reshape(shape), v.reshape(shape)
+
+    def _value(self, z: FloatArray) -> FloatArray:
+        s, v = self._components(z)
+        return s + v
+
+    def _components(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return self._composed(z, self.score_model.score(z), self.tangent_network(z))
+
+    def _value_and_jacobian(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return self._composed_and_jacobian(
+            z,
+            *self.score_model.score_and_jacobian(z),
+            *self.tangent_network.value_and_jacobian(z),
+        )

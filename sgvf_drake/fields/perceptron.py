@@ -11,31 +11,45 @@ from sgvf_drake.fields.base import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class FourierFeatures:
-    """The map z -> [sin(Omega z + phi), cos(Omega z + phi)].
+    """The map (z, g) -> [sin(Omega z + phi), cos(Omega z + phi), g].
 
     Attributes:
-        frequencies: Omega, (F, inputs), radians per unit of the input.
+        frequencies: Omega, (F, size of z), radians per unit of the input.
         phases: phi, (F,), radians.
+        passed: The size of g, further inputs that are passed on as they are.
     """
 
     frequencies: FloatArray
     phases: FloatArray
+    passed: int = 0
 
-    def jet(self, z: FloatArray) -> FloatArray:
-        """Returns the features and their derivatives by each input, (n, 1 + inputs, 2F)."""
-        angles = z @ self.frequencies.T + self.phases
+    @property
+    def num_inputs(self) -> int:
+        """The number of all inputs."""
+        return int(self.frequencies.shape[1]) + self.passed
+
+    @property
+    def num_outputs(self) -> int:
+        """The number of all features."""
+        return 2 * len(self.phases) + self.passed
+
+    def jet(self, inputs: FloatArray) -> FloatArray:
+        """Returns the features and their derivatives, (n, 1 + inputs, features)."""
+        F, d = self.frequencies.shape
+        angles = inputs[:, :d] @ self.frequencies.T + self.phases
         sine, cosine = np.sin(angles), np.cos(angles)
-        F = len(self.phases)
-        jet = np.empty((len(z), 1 + z.shape[1], 2 * F), angles.dtype)
-        jet[:, 0, :F], jet[:, 0, F:] = sine, cosine
-        jet[:, 1:, :F] = cosine[:, None, :] * self.frequencies.T
-        jet[:, 1:, F:] = -sine[:, None, :] * self.frequencies.T
+        jet = np.zeros((len(inputs), 1 + self.num_inputs, self.num_outputs), angles.dtype)
+        jet[:, 0, :F], jet[:, 0, F : 2 * F], jet[:, 0, 2 * F :] = sine, cosine, inputs[:, d:]
+        jet[:, 1 : 1 + d, :F] = cosine[:, None, :] * self.frequencies.T
+        jet[:, 1 : 1 + d, F : 2 * F] = -sine[:, None, :] * self.frequencies.T
+        jet[:, 1 + d :, 2 * F :] = np.eye(self.passed)
         return jet
 
-    def __call__(self, z: FloatArray) -> FloatArray:
-        """Returns the features: (n, inputs) -> (n, 2F)."""
-        angles = z @ self.frequencies.T + self.phases
-        return np.concatenate([np.sin(angles), np.cos(angles)], axis=1)
+    def __call__(self, inputs: FloatArray) -> FloatArray:
+        """Returns the features: (n, inputs) -> (n, features)."""
+        d = self.frequencies.shape[1]
+        angles = inputs[:, :d] @ self.frequencies.T + self.phases
+        return np.concatenate([np.sin(angles), np.cos(angles), inputs[:, d:]], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,8 +71,9 @@ class Perceptron:
     @property
     def num_inputs(self) -> int:
         """The number of inputs."""
-        first = self.weights[0] if self.features is None else self.features.frequencies
-        return int(first.shape[1])
+        if self.features is None:
+            return int(self.weights[0].shape[1])
+        return self.features.num_inputs
 
     def __call__(self, z: FloatArray) -> FloatArray:
         """Evaluates the network: (n, inputs) -> (n, outputs)."""

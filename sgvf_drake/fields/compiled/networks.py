@@ -36,7 +36,7 @@ def network_jet(sizes: np.ndarray, numbers: FloatArray, z: FloatArray) -> FloatA
     # Whole rows and not parts of them are passed on, so that they are known to be contiguous.
     jet = np.empty((1 + len(z), widest))
     following = np.empty((1 + len(z), widest))
-    at = _input_jet(sizes[NUM_FREQUENCIES], numbers, z, jet)
+    at = _input_jet(sizes[NUM_FREQUENCIES], widths[0], numbers, z, jet)
     last = len(widths) - 2
     for layer in range(last + 1):
         inputs, outputs = widths[layer], widths[layer + 1]
@@ -53,24 +53,27 @@ def network_jet(sizes: np.ndarray, numbers: FloatArray, z: FloatArray) -> FloatA
 
 @part
 def _input_jet(
-    num_frequencies: int, numbers: FloatArray, z: FloatArray, jet: FloatArray
+    num_frequencies: int, width: int, numbers: FloatArray, z: FloatArray, jet: FloatArray
 ) -> int:
     """Fills in what the first layer sees; returns how many numbers that took."""
-    if num_frequencies == 0:
-        for i in range(len(z)):
-            jet[0, i] = z[i]
-            for j in range(len(z)):
-                jet[1 + j, i] = 1.0 if i == j else 0.0
-        return 0
-    num_slopes = num_frequencies * len(z)
+    # The last inputs are passed on as they are: all of them where there are no frequencies.
+    passed = width - 2 * num_frequencies
+    d = len(z) - passed
+    for k in range(1 + len(z)):
+        for i in range(width):
+            jet[k, i] = 0.0
+    for i in range(passed):
+        jet[0, 2 * num_frequencies + i] = z[d + i]
+        jet[1 + d + i, 2 * num_frequencies + i] = 1.0
+    num_slopes = num_frequencies * d
     for f in range(num_frequencies):
-        frequencies = numbers[f * len(z) : (f + 1) * len(z)]
+        frequencies = numbers[f * d : (f + 1) * d]
         angle = numbers[num_slopes + f]
-        for j in range(len(z)):
+        for j in range(d):
             angle += frequencies[j] * z[j]
         sine, cosine = math.sin(angle), math.cos(angle)
         jet[0, f], jet[0, num_frequencies + f] = sine, cosine
-        for j in range(len(z)):
+        for j in range(d):
             jet[1 + j, f] = cosine * frequencies[j]
             jet[1 + j, num_frequencies + f] = -sine * frequencies[j]
     return num_slopes + num_frequencies
