@@ -28,6 +28,7 @@ from sgvf_drake.fields.guiding import (
     TangentField,
     import_field,
     load_field,
+    load_guiding_field,
 )
 from sgvf_drake.fields.mixture import GaussianMixture
 from sgvf_drake.fields.perceptron import FourierFeatures, Perceptron, ScoreNetwork
@@ -70,6 +71,7 @@ __all__ = [
     "find_activation",
     "import_field",
     "load_field",
+    "load_guiding_field",
     "recover_waypoints",
     "save_field",
 ]

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from os import PathLike
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,8 +11,10 @@ from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields.analytic import COMPLEX_STEP, AnalyticField
 from sgvf_drake.fields.base import FloatArray
 from sgvf_drake.fields.composed import ScoreInducedField
-from sgvf_drake.fields.storage import save_field
 from sgvf_drake.fields.strands import StrandMixture, StrandNetwork
+
+if TYPE_CHECKING:
+    from sgvf_drake.fields.compiled import CompiledMotion
 
 NEEDS_HEADING = (
     "the field follows a network of paths either way; it takes the intended direction too: "
@@ -95,6 +98,9 @@ class DirectedField(ScoreInducedField):
 
     def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:
         """Writes the field as one safetensors file; see `storage.save_field`."""
+        # Imported here, since files know of this class.
+        from sgvf_drake.fields.storage import save_field
+
         save_field(self, path, overwrite=overwrite)
 
     def _inputs(
@@ -200,6 +206,13 @@ class MemoryField:
         H = np.stack(columns, axis=-1) / COMPLEX_STEP
         H[..., :d] /= unit
         return H.reshape(*shape[:-1], *(self.dim,) * 3)
+
+    def compiled(self) -> "CompiledMotion":
+        """Returns what evaluates it, compiled by numba, for one robot at a time."""
+        # Imported here: it is about this class.
+        from sgvf_drake.fields.compiled import CompiledMotion
+
+        return CompiledMotion(self)
 
     def _jet(self, z: FloatArray, g: FloatArray) -> tuple[FloatArray, FloatArray]:
         """F and its Jacobian by (x, h), at normalised points."""

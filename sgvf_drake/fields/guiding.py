@@ -6,11 +6,13 @@ from os import PathLike
 from typing import Any
 
 from sgvf_drake.clouds import PointCloud
+from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields.analytic import AnalyticField
 from sgvf_drake.fields.base import FloatArray
 from sgvf_drake.fields.compiled import CompiledField
 from sgvf_drake.fields.composed import ComposedField
 from sgvf_drake.fields.composition import PAPER_GAIN
+from sgvf_drake.fields.directed import DirectedField
 from sgvf_drake.fields.importing import imported, network_of
 from sgvf_drake.fields.perceptron import Perceptron
 from sgvf_drake.fields.storage import read_field, save_field
@@ -63,16 +65,36 @@ class GuidingField(ComposedField):
         save_field(self, path, overwrite=overwrite)
 
 
-def load_field(path: str | PathLike[str]) -> GuidingField:
-    """Reads a field that `GuidingField.save` wrote.
+def load_field(path: str | PathLike[str]) -> GuidingField | DirectedField:
+    """Reads a field that was saved.
 
     Args:
         path: The file.
 
+    Returns:
+        A `DirectedField` if its paths cross, branch, or are travelled either way.
+
     Raises:
         FieldFileError: The file is missing, damaged, foreign or of another version.
     """
-    return GuidingField(**read_field(path))
+    arguments = read_field(path)
+    return (DirectedField if "strands" in arguments else GuidingField)(**arguments)
+
+
+def load_guiding_field(path: str | PathLike[str]) -> GuidingField:
+    """Reads a field of the position alone; see `load_field`.
+
+    Raises:
+        FieldFileError: As `load_field`.
+        ConfigurationError: The field is a directed one.
+    """
+    field = load_field(path)
+    if isinstance(field, DirectedField):
+        raise ConfigurationError(
+            f"{path} is a directed field m(x, g) of {field.network.describe(0)}; this takes a "
+            "field of the position alone, such as field.heading(g) in Python"
+        )
+    return field
 
 
 def import_field(

@@ -21,15 +21,17 @@ from sgvf_drake.clouds import Origin, PointCloud
 from sgvf_drake.exceptions import FieldFileError, OutputExistsError, PointCloudError
 from sgvf_drake.fields.activation import SILU, find_activation
 from sgvf_drake.fields.base import FloatArray
-from sgvf_drake.fields.composed import ComposedField
+from sgvf_drake.fields.composed import ComposedField, ScoreInducedField
 from sgvf_drake.fields.composition import (
     Composition,
     NormalisedComposition,
     PaperComposition,
     RobustComposition,
 )
+from sgvf_drake.fields.directed import DirectedField
 from sgvf_drake.fields.mixture import GaussianMixture
 from sgvf_drake.fields.perceptron import FourierFeatures, Perceptron, ScoreNetwork
+from sgvf_drake.fields.strands import StrandMixture, StrandNetwork
 from sgvf_drake.paths import PathNetwork
 
 # The only entry of the metadata, which safetensors writes in random order: with one, equal
@@ -49,6 +51,7 @@ COMPOSITIONS: dict[type[Composition], str] = {
 POINTS_KEY = "cloud.points"
 SUPPORT_KEY = "support.points"
 ENDS_KEY = "ends.points"
+STRANDS = "strands"
 # Float64, as safetensors names it.
 DTYPE = "F64"
 
@@ -56,7 +59,7 @@ Tensors = dict[str, FloatArray]
 
 
 def save_field(
-    field: ComposedField, path: str | os.PathLike[str], *, overwrite: bool = False
+    field: ScoreInducedField, path: str | os.PathLike[str], *, overwrite: bool = False
 ) -> None:
     """Writes `field` to `path`, whole or not at all.
 
@@ -83,21 +86,53 @@ def write_whole(path: Path, data: bytes, *, overwrite: bool) -> None:
         raise
 
 
-def field_digest(field: ComposedField) -> str:
+def field_digest(field: ScoreInducedField) -> str:
     """Returns the SHA-256 digest of the file that a field is saved as, in hexadecimal."""
     return hashlib.sha256(_file_of(field)).hexdigest()
 
 
-def _file_of(field: ComposedField) -> bytes:
-    tensors = {POINTS_KEY: field.cloud.points, **_pack("tangent", field.tangent_network)}
-    if isinstance(field.score_model, ScoreNetwork):
-        tensors |= _pack("score", field.score_model.network)
+def _file_of(field: ScoreInducedField) -> bytes:
+    learned, tensors = _learned(field)
+    tensors[POINTS_KEY] = field.cloud.points
     if field.support is not None:
         tensors[SUPPORT_KEY] = field.support
     if field.end_points is not None:
         tensors[ENDS_KEY] = field.end_points
     contiguous = {key: np.ascontiguousarray(value) for key, value in tensors.items()}
-    return save(contiguous, {HEADER_KEY: json.dumps(_header(field))})
+    return save(contiguous, {HEADER_KEY: json.dumps(_header(field, learned))})
+
+
+def _learned(field: ScoreInducedField) -> tuple[dict[str, Any], Tensors]:
+    """What the header and the tensors say of score and tangent."""
+    match field:
+        case ComposedField(score_model=ScoreNetwork() as score, tangent_network=tangent):
+            header = {
+                "score_scale": score.scale,
+                "score_activation": score.network.activation.name,
+                "tangent_activation": tangent.activation.name,
+            }
+            return header, {**_pack("tangent", tangent), **_pack("score", score.network)}
+        case ComposedField(tangent_network=tangent):
+            header = {
+                "score_scale": None,
+                "score_activation": None,
+                "tangent_activation": tangent.activation.name,
+            }
+            return header, _pack("tangent", tangent)
+        case DirectedField(strands=StrandMixture() as strands):
+            tensors = {
+                f"{STRANDS}.points": field.cloud.denormalize(strands.points),
+                f"{STRANDS}.directions": strands.directions,
+                f"{STRANDS}.one_way": strands.one_way.astype(float),
+            }
+            return {STRANDS: "mixture"}, tensors
+        case DirectedField(strands=StrandNetwork() as strands):
+            header = {
+                STRANDS: "two-way" if strands.two_way else "one-way",
+                f"{STRANDS}_activation": strands.network.activation.name,
+            }
+            return header, _pack(STRANDS, strands.network)
+    raise TypeError(f"{type(field).__name__} cannot be saved")
 
 
 def read_field(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -133,11 +168,10 @@ def read_field(path: str | os.PathLike[str]) -> dict[str, Any]:
         raise FieldFileError(f"{path}: {error}") from None
 
 
-def _header(field: ComposedField) -> dict[str, Any]:
+def _header(field: ScoreInducedField, learned: Mapping[str, Any]) -> dict[str, Any]:
     # Only where there are any, so that other files, and their digests, stay as they were.
     origin = {"origin": field.cloud.origin} if field.cloud.origin else {}
     paths = {"network": field.path_network.to_json()} if field.path_network else {}
-    network = field.score_model if isinstance(field.score_model, ScoreNetwork) else None
     return {
         "version": VERSION if paths else VERSION_WITHOUT_PATHS,
         "recipe": field.recipe,
@@ -145,9 +179,7 @@ def _header(field: ComposedField) -> dict[str, Any]:
         "sigma": field.sigma,
         "composition": _composition_name(field.composition),
         "gain": field.composition.gain,
-        "score_scale": network.scale if network else None,
-        "score_activation": network.network.activation.name if network else None,
-        "tangent_activation": field.tangent_network.activation.name,
+        **learned,
         "shape": field.cloud.shape,
         "digest": field.cloud.digest,
         "center": field.cloud.center.tolist(),
@@ -183,8 +215,7 @@ def _arguments(header: Any, tensors: Tensors) -> dict[str, Any]:
         "support": tensors.get(SUPPORT_KEY),
         "end_points": tensors.get(ENDS_KEY),
         "path_network": _path_network(header),
-        "score_model": _score_model(header, tensors, cloud, sigma),
-        "tangent_network": _network("tangent", header, tensors, cloud.dim, cloud.dim),
+        **_models(header, tensors, cloud, sigma),
         "composition": _composition(header, sigma),
         "recipe": _checked(header, "recipe", str),
         "seed": _checked(header, "seed", int),
@@ -239,6 +270,18 @@ def _composition(header: Mapping[str, Any], sigma: float) -> Composition:
             raise ValueError(f"unknown composition {other!r}")
 
 
+def _models(
+    header: Mapping[str, Any], tensors: Tensors, cloud: PointCloud, sigma: float
+) -> dict[str, Any]:
+    """The score and the tangent, or the strands of a directed field."""
+    if STRANDS in header:
+        return {"strands": _strands(header, tensors, cloud, sigma)}
+    return {
+        "score_model": _score_model(header, tensors, cloud, sigma),
+        "tangent_network": _network("tangent", header, tensors, cloud.dim, cloud.dim),
+    }
+
+
 def _score_model(
     header: Mapping[str, Any], tensors: Tensors, cloud: PointCloud, sigma: float
 ) -> ScoreNetwork | GaussianMixture:
@@ -246,6 +289,26 @@ def _score_model(
         return GaussianMixture(cloud.normalize(tensors.get(SUPPORT_KEY, cloud.points)), sigma)
     network = _network("score", header, tensors, cloud.dim + 1, cloud.dim)
     return ScoreNetwork(network, _positive(header, "score_scale"))
+
+
+def _strands(
+    header: Mapping[str, Any], tensors: Tensors, cloud: PointCloud, sigma: float
+) -> StrandMixture | StrandNetwork:
+    d = cloud.dim
+    match header[STRANDS]:
+        case "mixture":
+            points, directions, one_way = (
+                tensors[f"{STRANDS}.{key}"] for key in ("points", "directions", "one_way")
+            )
+            _check_shape(f"{STRANDS}.points", points, (max(1, len(points)), d))
+            _check_shape(f"{STRANDS}.directions", directions, points.shape)
+            _check_shape(f"{STRANDS}.one_way", one_way, (len(points),))
+            return StrandMixture(cloud.normalize(points), directions, one_way > 0, sigma)
+        case ("one-way" | "two-way") as ways:
+            network = _network(STRANDS, header, tensors, 2 * d, 2 * d, passed=d)
+            return StrandNetwork(network, sigma, two_way=ways == "two-way")
+        case other:
+            raise ValueError(f"unknown {STRANDS} {other!r}")
 
 
 def _pack(prefix: str, network: Perceptron) -> Tensors:
@@ -260,7 +323,12 @@ def _pack(prefix: str, network: Perceptron) -> Tensors:
 
 
 def _network(
-    prefix: str, header: Mapping[str, Any], tensors: Tensors, inputs: int, outputs: int
+    prefix: str,
+    header: Mapping[str, Any],
+    tensors: Tensors,
+    inputs: int,
+    outputs: int,
+    passed: int = 0,
 ) -> Perceptron:
     activation = find_activation(_checked(header, f"{prefix}_activation", str))
     layers = sum(key.startswith(f"{prefix}.") for key in tensors if key.endswith(".weight"))
@@ -270,10 +338,10 @@ def _network(
     widths = [inputs]
     if f"{prefix}.frequencies" in tensors:
         frequencies = tensors[f"{prefix}.frequencies"]
-        features = FourierFeatures(frequencies, tensors[f"{prefix}.phases"])
-        _check_shape(f"{prefix}.frequencies", frequencies, (len(frequencies), inputs))
+        features = FourierFeatures(frequencies, tensors[f"{prefix}.phases"], passed)
+        _check_shape(f"{prefix}.frequencies", frequencies, (len(frequencies), inputs - passed))
         _check_shape(f"{prefix}.phases", features.phases, (len(frequencies),))
-        widths = [2 * len(frequencies)]
+        widths = [features.num_outputs]
     widths += [len(weight) for weight in weights[:-1]] + [outputs]
     for layer, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
         _check_shape(f"{prefix}.{layer}.weight", weight, (widths[layer + 1], widths[layer]))

@@ -82,15 +82,15 @@ class StrandMixture:
             slopes = np.concatenate(
                 [
                     np.broadcast_to(self.points / self.sigma**2, pull.shape),
-                    self._sharpness[:, None] * pull,
+                    self.sharpness[:, None] * pull,
                 ],
                 axis=2,
             )
             mean = weights @ self.points
             S[rows] = (mean - x[rows]) / self.sigma**2
             N[rows] = np.einsum("np,npi->ni", weights, pull)
-            slopes -= np.einsum("np,npj->nj", weights, slopes)[:, None]
-            slopes *= weights[:, :, None]
+            slopes = slopes - np.einsum("np,npj->nj", weights, slopes)[:, None]
+            slopes = weights[:, :, None] * slopes
             dS[rows] = np.einsum("pi,npj->nij", self.points, slopes) / self.sigma**2
             dS[rows, :, :d] -= np.eye(d) / self.sigma**2
             dN[rows] = np.einsum("npi,npj->nij", pull, slopes)
@@ -100,7 +100,8 @@ class StrandMixture:
         return S, dS, N, dN
 
     @property
-    def _sharpness(self) -> FloatArray:
+    def sharpness(self) -> FloatArray:
+        """Kappa of each component, (M,)."""
         return np.where(self.one_way, ONE_WAY_SHARPNESS, TWO_WAY_SHARPNESS)
 
     def _weights(
@@ -109,9 +110,9 @@ class StrandMixture:
         """The weights of the components, how far each pulls along T, and d share / d T.g."""
         # Differences before squares: |x|^2 - 2 x.p + |p|^2 cancels near the path.
         squares = sum((x[:, None, k] - self.points[None, :, k]) ** 2 for k in range(x.shape[1]))
-        along = self._sharpness * (g @ self.directions.T)
+        along = self.sharpness * (g @ self.directions.T)
         share = np.where(self.one_way, 1.0, np.tanh(along))
-        curvature = np.where(self.one_way, 0.0, self._sharpness * (1 - share**2))
+        curvature = np.where(self.one_way, 0.0, self.sharpness * (1 - share**2))
         exponents = np.where(self.one_way, along, _log_cosh(along)) - squares / (
             2 * self.sigma**2
         )

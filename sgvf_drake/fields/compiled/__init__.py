@@ -15,8 +15,9 @@ import numpy as np
 
 from sgvf_drake.clouds import PointCloud
 from sgvf_drake.fields.base import FloatArray
-from sgvf_drake.fields.compiled.packing import pack_composed, pack_learned
+from sgvf_drake.fields.compiled.packing import pack_composed, pack_learned, pack_strands
 from sgvf_drake.fields.composed import ComposedField
+from sgvf_drake.fields.directed import MemoryField
 
 
 class CompiledField:
@@ -108,3 +109,41 @@ class CompiledField:
     def hessian(self, x: FloatArray) -> FloatArray:
         """Returns H[..., i, j, k] = d^2 m_i / dx_j dx_k, shape (d, d, d) or (n, d, d, d)."""
         return self.field.hessian(x)
+
+
+class CompiledMotion:
+    """A `MemoryField` for those who ask for one place and heading at a time.
+
+    It is the same field of y = (x, h), to rounding, as `CompiledField` is of x.
+
+    Attributes:
+        motion: The field.
+    """
+
+    def __init__(self, motion: MemoryField) -> None:
+        """Packs the field."""
+        # Here, because numba takes long to import and not everybody needs it.
+        from sgvf_drake.fields.compiled.evaluation import evaluate_motion
+
+        self.motion = motion
+        field = motion.field
+        self._arguments = (
+            np.array(field.cloud.center),
+            field.cloud.unit_length,
+            *pack_strands(field.strands),
+            field.sigma,
+            *pack_composed(field),
+        )
+        self._evaluate = evaluate_motion
+        self._shape = (motion.dim,)
+
+    def evaluate(self, y: FloatArray) -> FloatArray:
+        """Returns F and then its Jacobian by rows at one place and heading: (2d + 4d^2,).
+
+        Raises:
+            ValueError: y is not of shape (2d,).
+        """
+        y = np.array(y, dtype=np.float64)
+        if y.shape != self._shape:
+            raise ValueError(f"expected (x, h) of shape {self._shape}, not {y.shape}")
+        return self._evaluate(y, *self._arguments)

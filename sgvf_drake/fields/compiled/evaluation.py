@@ -13,7 +13,7 @@ from sgvf_drake import compiling
 from sgvf_drake.arrays import FloatArray
 from sgvf_drake.compiling import digest, kernel, part
 from sgvf_drake.fields import activation, composition
-from sgvf_drake.fields.compiled import networks, packing
+from sgvf_drake.fields.compiled import networks, packing, strands
 from sgvf_drake.fields.compiled.networks import network_jet, score_jet
 from sgvf_drake.fields.compiled.packing import (
     GAIN,
@@ -25,6 +25,7 @@ from sgvf_drake.fields.compiled.packing import (
     SOFTENING,
     TANGENT_SHARE,
 )
+from sgvf_drake.fields.compiled.strands import learned_strands_jet, strands_jet
 from sgvf_drake.fields.composition import PROJECTION_POWER
 
 
@@ -60,6 +61,58 @@ def _make_evaluate(sources: int) -> Any:
     return evaluate
 
 
+def _make_evaluate_motion(sources: int) -> Any:
+    @kernel
+    def evaluate_motion(
+        y: FloatArray,
+        center: FloatArray,
+        unit_length: float,
+        sizes: np.ndarray,
+        numbers: FloatArray,
+        sigma: float,
+        compositions: FloatArray,
+        ends: FloatArray,
+        rest_width: float,
+    ) -> FloatArray:
+        sources  # noqa: B018 (enclosed to be in the key of the cache; see `digest`)
+        d = len(center)
+        z = y.copy()
+        for i in range(d):
+            z[i] = (y[i] - center[i]) / unit_length
+        # Without sizes it is a mixture.
+        if len(sizes) == 0:
+            S, N = strands_jet(numbers, sigma, z)
+        else:
+            S, N = learned_strands_jet(sizes, numbers, sigma, z)
+        m = composed_jet(compositions[0], S, N)
+        if len(ends) > 0:
+            resting = composed_jet(compositions[1], S, N)
+            m = blended_jet(m, resting, ends, rest_width, z[:d].copy())
+        v = _direction_jet(N, compositions[0, SOFTENING])
+        return _flattened_motion(m, v, y, unit_length, sigma * unit_length)
+
+    return evaluate_motion
+
+
+@part
+def _flattened_motion(
+    m: FloatArray, v: FloatArray, y: FloatArray, unit_length: float, length: float
+) -> FloatArray:
+    """F = (m, (v - h) / length) and then its Jacobian by rows, in the unit of the waypoints."""
+    d = m.shape[1]
+    flat = np.empty(2 * d + 4 * d * d)
+    for i in range(d):
+        flat[i] = m[0, i]
+        flat[d + i] = (v[0, i] - y[d + i]) / length
+        for j in range(2 * d):
+            scale = unit_length if j < d else 1.0
+            by_m = 2 * d + 2 * d * i + j
+            flat[by_m] = m[1 + j, i] / scale
+            by_h = 2 * d + 2 * d * (d + i) + j
+            flat[by_h] = (v[1 + j, i] / scale - (1.0 if j == d + i else 0.0)) / length
+    return flat
+
+
 @part
 def _flattened(m: FloatArray, unit_length: float) -> FloatArray:
     """The value and then the Jacobian by rows, in the unit of the waypoints."""
@@ -78,8 +131,8 @@ def composed_jet(settings: FloatArray, S: FloatArray, N: FloatArray) -> FloatArr
 
     Args:
         settings: Those of the composition, as floats.
-        S: (1 + d, d).
-        N: (1 + d, d).
+        S: (1 + k, d), with the derivatives by k variables, of which the first d are z.
+        N: (1 + k, d).
     """
     if settings[KIND] == ROBUST:
         return _robust_jet(settings, S, _direction_jet(N, settings[SOFTENING]))
@@ -92,8 +145,8 @@ def _paper_jet(gain: float, S: FloatArray, N: FloatArray) -> FloatArray:
     """M = tanh(k_s |S|) S / |S| + N."""
     d = S.shape[1]
     a, _, da, _ = _squash(gain, _dot(S, 0, S, 0))
-    m = np.empty((1 + d, d))
-    for j in range(1 + d):
+    m = np.empty(S.shape)
+    for j in range(len(S)):
         growth = _dot(S, 0, S, j) * da if j > 0 else 0.0
         for i in range(d):
             m[j, i] = a * S[j, i] + growth * S[0, i] + N[j, i]
@@ -105,8 +158,8 @@ def _direction_jet(n: FloatArray, softening: float) -> FloatArray:
     """M = n / sqrt(|n|^2 + delta^2)."""
     d = n.shape[1]
     norm = math.sqrt(_dot(n, 0, n, 0) + softening * softening)
-    m = np.empty((1 + d, d))
-    for j in range(1 + d):
+    m = np.empty(n.shape)
+    for j in range(len(n)):
         along = _dot(m, 0, n, j) if j > 0 else 0.0
         for i in range(d):
             m[j, i] = n[j, i] / norm
@@ -122,8 +175,8 @@ def _robust_jet(settings: FloatArray, S: FloatArray, v: FloatArray) -> FloatArra
     normal = _normal_jet(settings, S, v)
     a, b, da, db = _squash(settings[GAIN], _dot(normal, 0, normal, 0))
     b, db = settings[TANGENT_SHARE] * b, settings[TANGENT_SHARE] * db
-    m = np.empty((1 + d, d))
-    for j in range(1 + d):
+    m = np.empty(normal.shape)
+    for j in range(len(normal)):
         growth = _dot(normal, 0, normal, j) if j > 0 else 0.0
         for i in range(d):
             slope = growth * (da * normal[0, i] + db * v[0, i])
@@ -141,10 +194,10 @@ def _normal_jet(settings: FloatArray, S: FloatArray, v: FloatArray) -> FloatArra
     g = settings[PROJECTS] / (1.0 + ratio**half)
     g_slope = -half * factor * ratio ** (half - 1) * g * g
     removed = g * along
-    normal = np.empty((1 + d, d))
+    normal = np.empty(S.shape)
     for i in range(d):
         normal[0, i] = S[0, i] - removed * v[0, i]
-    for j in range(1, 1 + d):
+    for j in range(1, len(S)):
         change = 2.0 * g_slope * _dot(S, 0, S, j) * along
         change += g * (_dot(S, j, v, 0) + _dot(S, 0, v, j))
         for i in range(d):
@@ -191,7 +244,7 @@ def blended_jet(
     """Returns the jet of m + w (resting - m), with w near 1 at the ends and 0 far away.
 
     Args:
-        m: The jet of the field away from the ends, (1 + d, d).
+        m: The jet of the field away from the ends, (1 + k, d).
         resting: The same at the ends.
         ends: (E, d).
         width: Standard deviation of the region of rest.
@@ -199,11 +252,11 @@ def blended_jet(
     """
     d = len(z)
     away = _away_jet(ends, width, z)
-    blended = np.empty((1 + d, d))
-    for j in range(1 + d):
+    blended = np.empty(m.shape)
+    for j in range(len(m)):
         for i in range(d):
             blended[j, i] = m[j, i] + (1.0 - away[0]) * (resting[j, i] - m[j, i])
-            if j > 0:
+            if 0 < j <= d:
                 blended[j, i] -= away[j] * (resting[0, i] - m[0, i])
     return blended
 
@@ -227,8 +280,11 @@ def _away_jet(ends: FloatArray, width: float, z: FloatArray) -> FloatArray:
     return jet
 
 
-SOURCES = (activation, compiling, composition, networks, packing)
-"""Every other module whose functions or constants are compiled into `evaluate`."""
+SOURCES = (activation, compiling, composition, networks, packing, strands)
+"""Every other module whose functions or constants are compiled into these."""
 
 evaluate = _make_evaluate(digest(*SOURCES))
 """Returns m and J by rows, flattened to (d + d^2,); the arguments are those of `packing`."""
+
+evaluate_motion = _make_evaluate_motion(digest(*SOURCES))
+"""Returns F of `MemoryField` and its Jacobian by rows, flattened to (2d + 4d^2,)."""

@@ -8,7 +8,7 @@ import numpy as np
 from sgvf_drake.arrays import FloatArray, IntArray
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields.activation import ACTIVATIONS
-from sgvf_drake.fields.composed import ComposedField
+from sgvf_drake.fields.composed import ComposedField, ScoreInducedField
 from sgvf_drake.fields.composition import (
     DIRECTION_SOFTENING,
     PROJECTION_RANGE,
@@ -21,6 +21,7 @@ from sgvf_drake.fields.composition import (
 from sgvf_drake.fields.mixture import GaussianMixture
 from sgvf_drake.fields.perceptron import Perceptron, ScoreNetwork
 from sgvf_drake.fields.rest import Rest
+from sgvf_drake.fields.strands import StrandMixture, StrandNetwork
 
 PAPER, NORMALISED, ROBUST = range(3)
 """The kinds of composition."""
@@ -30,6 +31,9 @@ KIND, GAIN, SOFTENING, PROJECTS, PROJECTION_FACTOR, TANGENT_SHARE = range(6)
 
 # Where the sizes of a network hold what; see `pack_network`.
 ACTIVATION, NUM_FREQUENCIES, FIRST_WIDTH = range(3)
+
+ONE_WAY, TWO_WAY = range(2)
+"""How strands are travelled."""
 
 PackedNetwork = tuple[IntArray, FloatArray]
 """Sizes and numbers."""
@@ -51,7 +55,7 @@ def pack_learned(field: ComposedField) -> tuple[Any, ...]:
     )
 
 
-def pack_composed(field: ComposedField) -> tuple[FloatArray, FloatArray, float]:
+def pack_composed(field: ScoreInducedField) -> tuple[FloatArray, FloatArray, float]:
     """Returns the arguments that say how it is put together.
 
     They are the settings of the compositions away from the ends of open paths and at them,
@@ -64,6 +68,17 @@ def pack_composed(field: ComposedField) -> tuple[FloatArray, FloatArray, float]:
     rest = Rest.at(field.cloud.normalize(field.ends), field.composition)
     resting = pack_composition(rest.composition)
     return np.array([settings, resting]), rest.ends, rest.width
+
+
+def pack_strands(strands: StrandMixture | StrandNetwork) -> PackedNetwork:
+    """Returns strands as `strands.strands_jet` or `strands.learned_strands_jet` takes them."""
+    if isinstance(strands, StrandNetwork):
+        sizes, numbers = pack_network(strands.network)
+        all_ways = TWO_WAY if strands.two_way else ONE_WAY
+        return np.insert(sizes, 0, all_ways), numbers
+    ways = np.where(strands.one_way, ONE_WAY, TWO_WAY)
+    rows = np.column_stack((strands.points, strands.directions, strands.sharpness, ways))
+    return np.empty(0, dtype=np.int64), rows.ravel()
 
 
 def pack_composition(composition: Composition) -> tuple[float, ...]:
