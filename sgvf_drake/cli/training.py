@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import click
 import typer
 
 from sgvf_drake.cli.application import app, console, progress
@@ -11,9 +12,8 @@ from sgvf_drake.cli.options import Columns, Out, Overwrite, columns_of, directio
 from sgvf_drake.cli.tables import print_folder, print_import, print_messages, print_training
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import PAPER_GAIN
+from sgvf_drake.learning.recipes import RECIPES
 
-# Here and not from `learning`, which imports torch.
-Recipe = Literal["paper", "robust", "exact"]
 Sampling = Literal["uniform", "random"]
 
 
@@ -41,7 +41,9 @@ def train(
     sampling: Annotated[
         Sampling | None, typer.Option(help="Sampling of the shape  \\[default: uniform].")
     ] = None,
-    recipe: Annotated[Recipe, typer.Option(help="How to learn.")] = "robust",
+    recipe: Annotated[
+        str, typer.Option(help="How to learn.", click_type=click.Choice(list(RECIPES)))
+    ] = "robust",
     seed: Annotated[int, typer.Option(help="Of every random number of the run.")] = 0,
     is_open: Annotated[
         bool | None,
@@ -69,7 +71,7 @@ def train(
     ] = None,
     anyway: Annotated[
         bool,
-        typer.Option("--anyway", help="Train also on paths that branch or cross themselves."),
+        typer.Option("--anyway", help="A field of the position alone also for paths that branch or cross."),
     ] = False,
     sigma: Annotated[
         float | None, typer.Option(help="Noise level in U  \\[default: from the waypoints].")
@@ -194,17 +196,17 @@ def import_(
 
 
 def _check_recipe(
-    recipe: Recipe, of_path: Mapping[str, Any], score_iterations: int | None
+    recipe: str, of_path: Mapping[str, Any], score_iterations: int | None
 ) -> None:
     """Refuses options that the recipe would ignore."""
-    if recipe == "paper":
+    if not RECIPES[recipe].uses_paths:
         for name, value in of_path.items():
             if value is not None:
                 option = "--closed" if value is False else f"--{name}"
                 raise ConfigurationError(
-                    f"{option} is not for the recipe paper, which knows no pieces"
+                    f"{option} is not for the recipe {recipe}, which knows no pieces"
                 )
-    if recipe == "exact" and score_iterations is not None:
+    if not RECIPES[recipe].learns_score and score_iterations is not None:
         raise ConfigurationError(
-            "--score-iterations is not for the recipe exact, which has no score network"
+            f"--score-iterations is not for the recipe {recipe}, which has no score network"
         )

@@ -20,9 +20,6 @@ STEP_PER_SIGMA = 0.5
 LOG_PERIOD = 0.05
 # Points of the reference at which the speed on the path is read.
 SPEED_SAMPLES = 2_000
-# How many times as long as usual the fields of a recipe are followed: those of the paper's are
-# slow, with |m| from 0.3 to 0.6 on their path.
-PATIENCE = {"paper": 4.0}
 
 
 class PathField(Field, Protocol):

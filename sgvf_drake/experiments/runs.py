@@ -27,6 +27,7 @@ from sgvf_drake.experiments.scene import NO_VIEW, View
 from sgvf_drake.experiments.tour import fly_tour
 from sgvf_drake.experiments.velocity_error import flight_margin, margin_summary
 from sgvf_drake.fields import GuidingField, load_field
+from sgvf_drake.learning.recipes import RECIPES
 from sgvf_drake.paths import PathNetwork, ReferencePath, make_shape
 from sgvf_drake.progress import Progress, no_progress
 from systems import FieldForSpeed
@@ -100,8 +101,7 @@ def _path_summary(result: Any, config: Any) -> dict[str, Any]:
     """Returns what the training made of the waypoints, in their unit."""
     support, network = result.support, result.network
     unit = network.unit_length
-    # The paper's recipe learns from the waypoints as they are.
-    cleans = result.field.recipe != "paper"
+    cleans = RECIPES[result.field.recipe].uses_paths
     return {
         "pieces": [
             {

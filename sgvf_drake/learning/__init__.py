@@ -1,8 +1,17 @@
-"""Training: from a point cloud to a guiding field.  The only package that needs torch."""
+"""Training: from a point cloud to a guiding field.  The only package that needs torch.
 
-from sgvf_drake.learning.config import RECIPES, TrainingConfig
+The configuration and the recipes do without it; it is imported by the first use of `train`.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from sgvf_drake.learning.config import TrainingConfig
+from sgvf_drake.learning.recipes import RECIPES
 from sgvf_drake.learning.self_check import SelfCheck, check_field
-from sgvf_drake.learning.training import TrainingResult, train
+
+if TYPE_CHECKING:
+    from sgvf_drake.learning.training import TrainingResult, train
 
 __all__ = [
     "RECIPES",
@@ -12,3 +21,9 @@ __all__ = [
     "check_field",
     "train",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name in ("TrainingResult", "train"):
+        return getattr(import_module("sgvf_drake.learning.training"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -4,15 +4,12 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 import math
 import operator
-from typing import Any, Literal, get_args
+from typing import Any
 
 from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.learning.recipes import RECIPES
 from sgvf_drake.learning.support import SIGMA_DEFAULT
 from sgvf_drake.paths.draft import DIRECTIONS, Direction
-
-Recipe = Literal["paper", "robust", "exact"]
-RECIPES: tuple[Recipe, ...] = get_args(Recipe)
-"""The names of the recipes."""
 
 # k_s of the robust composition, in noise levels; it is the paper's 0.2 at a sigma of 0.1.
 GAIN_PER_SIGMA = 2.0
@@ -20,11 +17,6 @@ GAIN_PER_SIGMA = 2.0
 FREQUENCY_STD = 2.0
 SCORE_ITERATIONS = 1_500
 TANGENT_ITERATIONS = 1_000
-NUM_FREQUENCIES = 32
-# Keeps |N| well above the softening of its direction; small, since near the zeros that the
-# topology demands (Poincare-Hopf) it has to give way.
-UNIT_WEIGHT = 0.3
-HINT_WEIGHT = 3.0
 # Each restart adds this share of the first attempt's widths and iterations.
 GROWTH = 0.5
 
@@ -76,7 +68,7 @@ class TrainingConfig:
             names it.
     """
 
-    recipe: Recipe = "robust"
+    recipe: str = "robust"
     seed: int = 0
     open: bool | None = None
     passes: bool = False
@@ -113,7 +105,7 @@ class TrainingConfig:
                 object.__setattr__(self, name, convert(value))
             except (TypeError, ValueError, OverflowError):
                 raise ConfigurationError(f"{name} cannot be {value!r}") from None
-        for name, reason in _NOT_FOR.get(self.recipe, {}).items():
+        for name, reason in RECIPES[self.recipe].refused.items():
             if getattr(self, name) is not None:
                 raise ConfigurationError(
                     f"{name} is not for the recipe {self.recipe}, {reason}"
@@ -132,14 +124,27 @@ class TrainingConfig:
         }
         return {name: value for name, value in given.items() if value is not None}
 
-    def resolved(self, sigma: float) -> "Settings":
-        """Returns every value of the run, where the cloud asks for a noise level."""
+    def resolved(self, sigma: float, *, directed: bool = False) -> "Settings":
+        """Returns every value of the run, where the cloud asks for a noise level.
+
+        Raises:
+            ConfigurationError: If a directed field is asked for, and an option means nothing
+                there.
+        """
         given = {
             name: value
             for name, value in asdict(self).items()
             if value is not None and name not in _OF_THE_PATH
         }
-        defaults = _PAPER if self.recipe == "paper" else _ROBUST
+        recipe = RECIPES[self.recipe]
+        defaults = recipe.defaults
+        if directed:
+            for name in _OF_THE_POSITION_ALONE & given.keys():
+                raise ConfigurationError(
+                    f"{name} is not for paths that branch or cross, whose field is learned by "
+                    "regression on their strands"
+                )
+            defaults = recipe.strand_defaults or {}
         values = {"sigma_min": sigma, **defaults, **given}
         values.setdefault("gain", GAIN_PER_SIGMA * values["sigma_min"])
         # A finer level has more to learn: features of more detail, in more iterations.
@@ -154,7 +159,7 @@ class TrainingConfig:
 class Settings:
     """What is learned with, every value filled in; the names are `TrainingConfig`'s."""
 
-    recipe: Recipe
+    recipe: str
     seed: int
     max_restarts: int
     sigma_min: float
@@ -194,50 +199,20 @@ class Settings:
         )
 
 
-# What means nothing in a recipe, and why.
-_NOT_FOR: dict[Recipe, dict[str, str]] = {
-    "paper": {
-        "num_frequencies": "whose networks see x and t themselves",
-        "hint_weight": "which has no orientation hint",
-        "projection": "whose field is the plain sum s + v",
-    },
-    "exact": {"exact_target": "which has no score network"},
-}
 # What is asked of the path, and not of the learning.
 _OF_THE_PATH = ("open", "passes", "direction", "start", "anyway")
-# Paper, Section V-A: networks, iterations, k_s and lambdas.  No restarts: it is there to be
-# compared.
-_PAPER: dict[str, Any] = {
-    "max_restarts": 0,
-    "sigma_min": 0.1,
-    "gain": 0.2,
-    "frequency_std": 0.0,
-    "num_frequencies": 0,
-    "exact_target": False,
-    "score_hidden": (64, 64, 64, 64),
-    "score_iterations": 10_000,
-    "tangent_hidden": (128,),
-    "tangent_iterations": 10_000,
-    "unit_weight": 1.0,
-    "orthogonality_weight": 1.0,
-    "direction_weight": 1.0,
-    "hint_weight": 0.0,
-    "projection": False,
-}
-# The exact recipe shares them; it has no score network.
-_ROBUST: dict[str, Any] = {
-    "max_restarts": 2,
-    "num_frequencies": NUM_FREQUENCIES,
-    "exact_target": True,
-    "score_hidden": (64, 64, 64, 64),
-    "tangent_hidden": (64, 64, 64),
-    "unit_weight": UNIT_WEIGHT,
-    "orthogonality_weight": 1.0,
-    "direction_weight": 1.0,
-    "hint_weight": HINT_WEIGHT,
-    "projection": True,
-}
-
+# What a directed field has not: a score network of its own, and losses of the tangent.
+_OF_THE_POSITION_ALONE = frozenset(
+    {
+        "exact_target",
+        "score_hidden",
+        "score_iterations",
+        "unit_weight",
+        "orthogonality_weight",
+        "direction_weight",
+        "hint_weight",
+    }
+)
 
 def _natural(value: Any) -> int:
     number = int(operator.index(value))

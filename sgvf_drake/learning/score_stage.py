@@ -1,5 +1,9 @@
 """The first stage of a training: the score network, learned or given."""
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
 import pandas as pd
 import torch
 from torch import Tensor
@@ -7,30 +11,39 @@ from torch import Tensor
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import ScoreNetwork
 from sgvf_drake.fields.activation import SILU
-from sgvf_drake.learning.config import Settings
 from sgvf_drake.learning.networks import Network
 from sgvf_drake.learning.optimization import Optimization, optimize
-from sgvf_drake.learning.score_matching import (
-    Function,
-    Losses,
-    NoiseSchedule,
-    noisy_score_loss,
-    paper_score_loss,
-    robust_score_loss,
-)
+from sgvf_drake.learning.recipes import Recipe
+from sgvf_drake.learning.score_matching import Function, Losses
 from sgvf_drake.progress import Progress
 
-# Paper, Section V-A.
-PAPER_BATCH_SIZE = 512
-PAPER_LEARNING_RATE = 1e-3
+if TYPE_CHECKING:
+    from sgvf_drake.learning.config import Settings
 
-ROBUST_BATCH_SIZE = 256
-ROBUST_WARMUP = 50
-ROBUST_SCORE_LEARNING_RATE = 1e-2
+
+@dataclass(frozen=True, eq=False)
+class ScoreStage:
+    """How a recipe learns the score.
+
+    Attributes:
+        losses: Of a network of (x, t), or of a function in its place.
+        steps: Its optimisation.
+        scale: What divides the outputs to make the score.
+        scaled_inputs: Whether a network without features sees scaled inputs.
+    """
+
+    losses: Callable[[Function], Losses]
+    steps: Optimization
+    scale: float
+    scaled_inputs: bool
 
 
 def learn_score(
-    data: Tensor, settings: Settings, given: ScoreNetwork | None, progress: Progress
+    dim: int,
+    settings: "Settings",
+    stage: ScoreStage,
+    given: ScoreNetwork | None,
+    progress: Progress,
 ) -> tuple[ScoreNetwork, list[pd.DataFrame]]:
     """Returns the score network and the history of its training, if there was one.
 
@@ -38,13 +51,12 @@ def learn_score(
     part of the time: the tangent is then that of a run that trains both.
 
     Args:
-        data: The points that are learned from, (N, d).
+        dim: d.
         settings: Those of the attempt.
+        stage: How it is learned.
         given: A score that was trained before.
         progress: Told how far the training is.
     """
-    dim = data.shape[1]
-    is_paper = settings.recipe == "paper"
     # Drawn in any case.
     network = Network(
         dim + 1,
@@ -53,32 +65,15 @@ def learn_score(
         settings.num_frequencies,
         settings.frequency_std,
         has_time=True,
-        scaled=not is_paper,
+        scaled=stage.scaled_inputs,
     )
     if given is not None:
-        losses = _losses(lambda inputs: inputs[:, :dim], data, settings)
+        losses = stage.losses(lambda inputs: inputs[:, :dim])
         for _ in range(settings.score_iterations):
             losses()
         return given, []
-    steps = Optimization(
-        settings.score_iterations,
-        PAPER_LEARNING_RATE if is_paper else ROBUST_SCORE_LEARNING_RATE,
-        0 if is_paper else ROBUST_WARMUP,
-        cosine=not is_paper,
-    )
-    history = optimize(network, _losses(network, data, settings), steps, "score", progress)
-    scale = 1.0 if is_paper else settings.sigma_min
-    return ScoreNetwork(network.to_perceptron(), scale), [history]
-
-
-def _losses(network: Function, data: Tensor, settings: Settings) -> Losses:
-    schedule = NoiseSchedule(settings.sigma_min)
-    if settings.recipe == "paper":
-        return paper_score_loss(
-            network, data, schedule, PAPER_BATCH_SIZE, settings.exact_target
-        )
-    loss = robust_score_loss if settings.exact_target else noisy_score_loss
-    return loss(network, data, schedule, ROBUST_BATCH_SIZE)
+    history = optimize(network, stage.losses(network), stage.steps, "score", progress)
+    return ScoreNetwork(network.to_perceptron(), stage.scale), [history]
 
 
 def frozen_score(model: ScoreNetwork) -> Function:
@@ -92,15 +87,15 @@ def frozen_score(model: ScoreNetwork) -> Function:
     return score
 
 
-def check_given_score(score: ScoreNetwork, recipe: str, dim: int) -> None:
+def check_given_score(score: ScoreNetwork, recipe: Recipe, dim: int) -> None:
     """Checks that a tangent can be learned on a score that was trained before.
 
     Raises:
         ConfigurationError: The recipe trains no score, or the score is of another kind.
     """
-    if recipe == "exact":
+    if not recipe.learns_score:
         raise ConfigurationError(
-            "score is not for the recipe exact, which has that of the mixture"
+            f"score is not for the recipe {recipe.name}, which has that of the mixture"
         )
     if not isinstance(score, ScoreNetwork):
         raise ConfigurationError(f"score must be a ScoreNetwork, not {type(score).__name__}")

@@ -40,6 +40,11 @@ class StrandSupport:
     ends: FloatArray
     edge: IntArray
 
+    @property
+    def sigma(self) -> float:
+        """The noise level to learn at."""
+        return self.mixture.sigma
+
 
 def find_strands(
     cloud: PointCloud, network: PathNetwork, sigma: float | None = None

@@ -12,36 +12,17 @@ import torch
 
 from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.fields import (
-    Composition,
-    FloatArray,
-    GaussianMixture,
-    GuidingField,
-    PaperComposition,
-    RobustComposition,
-    ScoreNetwork,
-)
+from sgvf_drake.fields import DirectedField, GuidingField, ScoreNetwork
 from sgvf_drake.learning.config import Settings, TrainingConfig
-from sgvf_drake.learning.networks import Network
-from sgvf_drake.learning.optimization import Optimization, optimize
-from sgvf_drake.learning.score_matching import Function, NoiseSchedule, mixture_score
-from sgvf_drake.learning.score_stage import (
-    PAPER_BATCH_SIZE,
-    PAPER_LEARNING_RATE,
-    ROBUST_BATCH_SIZE,
-    ROBUST_WARMUP,
-    check_given_score,
-    frozen_score,
-    learn_score,
-)
-from sgvf_drake.learning.self_check import SelfCheck, check_field
+from sgvf_drake.learning.recipes import RECIPES
+from sgvf_drake.learning.recipes.robust import composition
+from sgvf_drake.learning.score_stage import check_given_score
+from sgvf_drake.learning.self_check import SelfCheck, check_directed, check_field
+from sgvf_drake.learning.strands import StrandSupport, find_strands
 from sgvf_drake.learning.support import SIGMA_DEFAULT, SUPPORT_SPACING, Support, find_support
-from sgvf_drake.learning.tangent import paper_tangent_loss, robust_tangent_loss
 from sgvf_drake.paths import PathNetwork
 from sgvf_drake.paths.finding import find_paths
 from sgvf_drake.progress import Progress, no_progress
-
-ROBUST_TANGENT_LEARNING_RATE = 5e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +30,8 @@ class TrainingResult:
     """A trained field and how it came about.
 
     Attributes:
-        field: The field of the last attempt; check `self_check.passed`.
+        field: The field of the last attempt; check `self_check.passed`.  A `DirectedField`
+            if the paths branch or cross.
         settings: The configuration with every value filled in, those of the first attempt.
         network: What was found in the waypoints.
         support: The points that were learned from.
@@ -60,10 +42,10 @@ class TrainingResult:
         wall_s: Elapsed time of all attempts, seconds.
     """
 
-    field: GuidingField
+    field: GuidingField | DirectedField
     settings: Settings
     network: PathNetwork
-    support: Support
+    support: Support | StrandSupport
     self_check: SelfCheck
     restarts: int
     history: pd.DataFrame
@@ -78,6 +60,9 @@ def train(
     score: ScoreNetwork | None = None,
 ) -> TrainingResult:
     """Trains a guiding field for a cloud of waypoints, or for a network that was found in one.
+
+    Paths that branch or cross get a directed field m(x, g), all others one of the position
+    alone.
 
     After training, the field is followed from every piece and from around it; where that
     fails, training starts again with another seed, wider networks and more iterations, at
@@ -97,21 +82,37 @@ def train(
     Raises:
         PointCloudError: The waypoints show no path.
         ConfigurationError: The options do not fit the cloud, or the score does not; or the
-            paths branch or cross, which no field of the position alone can follow.
+            paths branch or cross, which no field of this recipe can follow.
     """
     wall, cpu = time.perf_counter(), time.process_time()
     config = config or TrainingConfig()
+    recipe = RECIPES[config.recipe]
     cloud, network = _paths_of(source, config)
+    directed = not config.anyway and not all(map(network.is_simple, range(network.num_pieces)))
+    if directed and recipe.strand_defaults is None:
+        raise ConfigurationError(_no_stateless_field(network, config.recipe))
     if score is not None:
-        check_given_score(score, config.recipe, cloud.dim)
-    support = find_support(cloud, network, config.sigma_min)
-    settings = config.resolved(support.sigma)
-    for attempt in range(settings.max_restarts + 1):
-        with _torch_session(settings.seed, attempt):
-            field, history = _train_once(
-                cloud, network, support, settings.grown(attempt), score, progress
+        check_given_score(score, recipe, cloud.dim)
+        if directed:
+            raise ConfigurationError(
+                "score is not for paths that branch or cross, whose field has no score network"
             )
-        self_check = check_field(field, support.path)
+    support: Support | StrandSupport
+    if directed:
+        support = find_strands(cloud, network, config.sigma_min)
+    else:
+        support = find_support(cloud, network, config.sigma_min)
+    settings = config.resolved(support.sigma, directed=directed)
+    for attempt in range(settings.max_restarts + 1):
+        own = settings.grown(attempt)
+        with _torch_session(settings.seed, attempt):
+            field: GuidingField | DirectedField
+            if isinstance(support, StrandSupport):
+                field, history = _train_directed(cloud, network, support, own, progress)
+                self_check = check_directed(field)
+            else:
+                field, history = _train_once(cloud, network, support, own, score, progress)
+                self_check = check_field(field, support.path)
         if self_check.passed:
             break
     return TrainingResult(
@@ -130,29 +131,26 @@ def train(
 def _paths_of(
     source: PointCloud | PathNetwork, config: TrainingConfig
 ) -> tuple[PointCloud, PathNetwork]:
-    """Returns the waypoints and their network.
+    """Returns the waypoints and their network."""
+    if not isinstance(source, PathNetwork):
+        return source, find_paths(source, **config.of_path)
+    if config.of_path != {}:
+        given = ", ".join(config.of_path)
+        raise ConfigurationError(f"{given}: a network has its own; find_paths takes it")
+    step = SUPPORT_SPACING * SIGMA_DEFAULT * source.unit_length
+    lines = [line.sample(max(3, round(line.length / step))) for line in source.path.pieces]
+    return PointCloud(np.concatenate(lines)), source
 
-    Raises:
-        ConfigurationError: If no field of the position alone can follow it.
-    """
-    if isinstance(source, PathNetwork):
-        if config.of_path != {}:
-            given = ", ".join(config.of_path)
-            raise ConfigurationError(f"{given}: a network has its own; find_paths takes it")
-        network = source
-        step = SUPPORT_SPACING * SIGMA_DEFAULT * network.unit_length
-        lines = [line.sample(max(3, round(line.length / step))) for line in network.path.pieces]
-        cloud = PointCloud(np.concatenate(lines))
-    else:
-        cloud, network = source, find_paths(source, **config.of_path)
-    for piece in range(network.num_pieces):
-        if not (network.is_simple(piece) or config.anyway):
-            doubt = f" (unsure: {network.unsure})" if network.unsure else ""
-            raise ConfigurationError(
-                f"piece {piece + 1} is a {network.describe(piece)}{doubt}: no field of the "
-                "position alone follows it; --anyway (anyway=True) trains one all the same"
-            )
-    return cloud, network
+
+def _no_stateless_field(network: PathNetwork, recipe: str) -> str:
+    """Says why a recipe of fields of the position alone refuses a network."""
+    piece = next(k for k in range(network.num_pieces) if not network.is_simple(k))
+    doubt = f" (unsure: {network.unsure})" if network.unsure else ""
+    return (
+        f"piece {piece + 1} is a {network.describe(piece)}{doubt}: no field of the position "
+        f"alone, as of the recipe {recipe}, follows it; --anyway (anyway=True) trains one all "
+        "the same"
+    )
 
 
 def _train_once(
@@ -163,103 +161,52 @@ def _train_once(
     score: ScoreNetwork | None,
     progress: Progress,
 ) -> tuple[GuidingField, pd.DataFrame]:
-    if settings.recipe == "paper":
-        # To the letter: from the waypoints as they are.
-        parts = _fit_paper(cloud.normalize(cloud.points), settings, score, progress)
-        points = ends = None
-    else:
-        parts = _fit_robust(support, settings, score, progress)
-        points = cloud.denormalize(support.points)
-        ends = cloud.denormalize(support.ends) if len(support.ends) else None
+    recipe = RECIPES[settings.recipe]
+    learned_from = support.points if recipe.uses_paths else cloud.normalize(cloud.points)
+    fitted = recipe.fit(learned_from, support.tangents, settings, score, progress)
     provenance: dict[str, Any] = {"training": asdict(settings)}
     if score is not None:
         provenance["score"] = "given"
+    has_ends = recipe.uses_paths and len(support.ends) > 0
     field = GuidingField(
         cloud=cloud,
         sigma=settings.sigma_min,
-        score_model=parts.score_model,
-        tangent_network=parts.tangent.to_perceptron(),
-        composition=parts.composition,
+        score_model=fitted.score_model,
+        tangent_network=fitted.tangent_network,
+        composition=fitted.composition,
         recipe=settings.recipe,
         seed=settings.seed,
-        support=points,
-        end_points=ends,
+        support=cloud.denormalize(support.points) if recipe.uses_paths else None,
+        end_points=cloud.denormalize(support.ends) if has_ends else None,
         path_network=network,
         provenance=provenance,
     )
-    return field, pd.concat(parts.histories, ignore_index=True)
+    return field, pd.concat(fitted.histories, ignore_index=True)
 
 
-@dataclass(frozen=True, eq=False)
-class _Parts:
-    """What an attempt leaves behind."""
-
-    score_model: ScoreNetwork | GaussianMixture
-    tangent: Network
-    composition: Composition
-    histories: list[pd.DataFrame]
-
-
-def _fit_paper(
-    points: FloatArray, settings: Settings, score: ScoreNetwork | None, progress: Progress
-) -> _Parts:
-    """Algorithms 1 and 2 to the letter; the network of paths is not asked."""
-    dim = points.shape[1]
-    data = torch.as_tensor(points, dtype=torch.float32)
-    score, histories = learn_score(data, settings, score, progress)
-    tangent = Network(dim, settings.tangent_hidden, dim)
-    losses = paper_tangent_loss(
-        tangent,
-        frozen_score(score),
-        data,
-        NoiseSchedule(settings.sigma_min),
-        settings.gain,
-        PAPER_BATCH_SIZE,
-        settings.weights,
+def _train_directed(
+    cloud: PointCloud,
+    network: PathNetwork,
+    support: StrandSupport,
+    settings: Settings,
+    progress: Progress,
+) -> tuple[DirectedField, pd.DataFrame]:
+    recipe = RECIPES[settings.recipe]
+    strands, histories = recipe.fit_strands(support.mixture, settings, progress)
+    field = DirectedField(
+        cloud=cloud,
+        sigma=settings.sigma_min,
+        strands=strands,
+        composition=composition(settings),
+        recipe=settings.recipe,
+        seed=settings.seed,
+        support=cloud.denormalize(support.mixture.points),
+        end_points=cloud.denormalize(support.ends) if len(support.ends) else None,
+        path_network=network,
+        provenance={"training": asdict(settings)},
     )
-    steps = Optimization(settings.tangent_iterations, PAPER_LEARNING_RATE)
-    histories.append(optimize(tangent, losses, steps, "tangent", progress))
-    return _Parts(score, tangent, PaperComposition(settings.gain), histories)
-
-
-def _fit_robust(
-    support: Support, settings: Settings, score: ScoreNetwork | None, progress: Progress
-) -> _Parts:
-    """The robust recipe, and the exact one: the same tangent on the closed-form score."""
-    points = support.points
-    dim = points.shape[1]
-    data = torch.as_tensor(points, dtype=torch.float32)
-    sigma = settings.sigma_min
-    histories: list[pd.DataFrame] = []
-    score_model: ScoreNetwork | GaussianMixture
-    if settings.recipe == "exact":
-        score_model = GaussianMixture(points, sigma)
-        frozen: Function = lambda x: mixture_score(x, sigma, data)  # noqa: E731
-    else:
-        score_model, histories = learn_score(data, settings, score, progress)
-        frozen = frozen_score(score_model)
-
-    hint = torch.as_tensor(support.tangents, dtype=torch.float32)
-    tangent = Network(
-        dim,
-        settings.tangent_hidden,
-        dim,
-        settings.num_frequencies,
-        settings.frequency_std,
-        scaled=True,
-    )
-    losses = robust_tangent_loss(
-        tangent, frozen, data, hint, sigma, ROBUST_BATCH_SIZE, settings.weights
-    )
-    steps = Optimization(
-        settings.tangent_iterations,
-        ROBUST_TANGENT_LEARNING_RATE,
-        ROBUST_WARMUP,
-        cosine=True,
-    )
-    histories.append(optimize(tangent, losses, steps, "tangent", progress))
-    composition = RobustComposition(settings.gain, sigma, projects=settings.projection)
-    return _Parts(score_model, tangent, composition, histories)
+    empty = pd.DataFrame({"stage": [], "iteration": [], "total": []})
+    return field, pd.concat(histories, ignore_index=True) if histories else empty
 
 
 @contextmanager

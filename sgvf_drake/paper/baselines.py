@@ -19,9 +19,10 @@ import pandas as pd
 
 from sgvf_drake import plotting
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.experiments.follow import PATIENCE, FollowResult, PathField, follow
+from sgvf_drake.experiments.follow import FollowResult, PathField, follow
 from sgvf_drake.experiments.workbench import Row, Workbench
 from sgvf_drake.fields import ParametricField
+from sgvf_drake.learning.recipes import RECIPES
 from sgvf_drake.metrics import default_duration
 from sgvf_drake.paper.claims import Claim, Count, Figures, Rows, Verdict, every
 from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
@@ -115,7 +116,8 @@ def follow_case(
 
     That is waypoints and agents in U, and who succeeded.
     """
-    cloud, patience = field.cloud, PATIENCE.get(method, 1.0)
+    cloud = field.cloud
+    patience = RECIPES[method].patience if method in RECIPES else 1.0
     duration = patience * default_duration(reference, cloud.unit_length)
     run = follow(field, reference, starts, duration)
     ways = find_ways(run, reference, cloud.unit_length, patience)

@@ -12,10 +12,11 @@ import pandas as pd
 
 from sgvf_drake import plotting
 from sgvf_drake.arrays import FloatArray
-from sgvf_drake.experiments.follow import PATIENCE, FollowResult, follow
+from sgvf_drake.experiments.follow import FollowResult, follow
 from sgvf_drake.experiments.quality.measures import following, measure_score
 from sgvf_drake.experiments.workbench import Row, Workbench
 from sgvf_drake.fields import ScoreField, TangentField, load_field
+from sgvf_drake.learning.recipes import RECIPES
 from sgvf_drake.metrics import default_duration
 from sgvf_drake.paper.claims import (
     Claim,
@@ -90,7 +91,7 @@ def measure_overview(trial: OverviewTrial, folder: Path) -> Row:
     """
     cloud, path = make_shape(trial.shape, seed=trial.seed)
     result = trained(cloud, trial.recipe, trial.seed)
-    duration = PATIENCE.get(trial.recipe, 1.0) * default_duration(path, cloud.unit_length)
+    duration = RECIPES[trial.recipe].patience * default_duration(path, cloud.unit_length)
     run = follow(result.field, path, trial.starts, duration)
     result.field.save(folder / FIELD)
     result.history.to_parquet(folder / LOSSES, index=False)

@@ -10,6 +10,7 @@ from typing import Any
 
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments import clouds
+from sgvf_drake.learning.recipes import RECIPES
 from sgvf_drake.paths import SHAPES
 
 # Starts of a case, unless given.
@@ -21,7 +22,6 @@ LABELS = ("name", "shape", "sampling", "recipe", "seed")
 HEADLINE = ("concentric-circles", "separated-circles")
 # Shapes of the size for which a noise of 0.05 is meant.
 LARGE_SHAPES = (*HEADLINE, "circle", "square", "hexagon", "octagon", "triangle", "star")
-RECIPES = ("paper", "robust", "exact")
 # Seeds of hard clouds, unless given.
 ROBUSTNESS_SEEDS = 3
 
@@ -180,7 +180,7 @@ _ROBUSTNESS = _Part(
     ),
     seeds=ROBUSTNESS_SEEDS,
 )
-_RECIPES = _Part("recipes", _sampled("uniform", HEADLINE), RECIPES, ROBUSTNESS_SEEDS)
+_RECIPES = _Part("recipes", _sampled("uniform", HEADLINE), tuple(RECIPES), ROBUSTNESS_SEEDS)
 _HANDWRITING = _Part(
     "handwriting", _sampled("recorded", clouds.HANDWRITING), overrides=(("open", True),)
 )

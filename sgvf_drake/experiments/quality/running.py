@@ -13,7 +13,7 @@ from rich.table import Table
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments import clouds
 from sgvf_drake.experiments.figures.runs import follow_figure
-from sgvf_drake.experiments.follow import PATIENCE, follow
+from sgvf_drake.experiments.follow import follow
 from sgvf_drake.experiments.quality.cases import LABELS, Case
 from sgvf_drake.experiments.quality.measures import Row, failure, following, measure_score
 from sgvf_drake.experiments.results import result_folder, save_figure
@@ -61,14 +61,15 @@ def measure_case(case: Case, folder: Path) -> Row:
         the settings and the self-check of the training.
     """
     # Imported here: the table of finished cases does not need torch.
-    from sgvf_drake.learning import TrainingConfig, train
+    from sgvf_drake.learning import RECIPES, TrainingConfig, train
 
     begin = time.perf_counter()
     cloud, reference = clouds.make_cloud(case.cloud, case.sampling, case.seed, case.source)
     settings: dict[str, Any] = {"recipe": case.recipe, "seed": case.seed, "anyway": True}
     result = train(cloud, TrainingConfig(**settings, **dict(case.overrides)))
     field = result.field
-    duration = PATIENCE.get(case.recipe, 1.0) * default_duration(reference, cloud.unit_length)
+    usual = default_duration(reference, cloud.unit_length)
+    duration = RECIPES[case.recipe].patience * usual
     run = follow(field, reference, case.starts, duration)
     save_figure(follow_figure(field, run), folder / FIGURE)
     row = {

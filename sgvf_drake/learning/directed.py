@@ -1,0 +1,149 @@
+"""Learning a directed field: one network of (x, g) for the score and the tangent of strands."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import pandas as pd
+import torch
+from torch import Tensor, nn
+
+from sgvf_drake.fields import FourierFeatures, Perceptron, StrandMixture, StrandNetwork
+from sgvf_drake.learning.networks import POSITION_SCALE, Network
+from sgvf_drake.learning.optimization import Optimization, optimize
+from sgvf_drake.learning.score_matching import BOX_HALF_SIZE, Losses, compress
+from sgvf_drake.progress import Progress
+
+if TYPE_CHECKING:
+    from sgvf_drake.learning.config import Settings
+
+BATCH_SIZE = 512
+LEARNING_RATE = 4e-3
+WARMUP = 50
+# Shares of a batch: uniform in the box; around a strand at four noise levels and not one;
+# headed along a strand, give or take; of a shorter g, as while a heading turns round.
+BOX_SHARE, WIDE_SHARE, WIDE = 0.2, 0.3, 4.0
+ALONG_SHARE, ALONG_SPREAD = 0.6, 0.35
+SHORT_SHARE = 0.2
+
+
+class HeadingNetwork(nn.Module):
+    """The torch twin of the network of a `StrandNetwork`: (x, g) -> (sigma S, N).
+
+    Args:
+        dim: d.
+        hidden: Widths of the hidden layers.
+        num_frequencies: Random Fourier features of the position.
+        frequency_std: Their standard deviation, radians per unit of the scaled position.
+        two_way: Whether S is even and N odd in g.
+    """
+
+    def __init__(
+        self,
+        dim: int,
+        hidden: Sequence[int],
+        num_frequencies: int,
+        frequency_std: float,
+        two_way: bool,
+    ) -> None:
+        super().__init__()
+        self.two_way = two_way
+        draw = frequency_std / POSITION_SCALE * torch.randn(num_frequencies, dim)
+        self.register_buffer("frequencies", draw)
+        # The layers behind the features, g among them, which enters the first one linearly.
+        self.layers = Network(2 * num_frequencies + dim, hidden, 2 * dim)
+
+    frequencies: Tensor
+
+    def forward(self, x: Tensor, g: Tensor) -> Tensor:
+        """Evaluates the network: (n, d), (n, d) -> (n, 2d)."""
+        angles = x @ self.frequencies.T
+        features = torch.cat([angles.sin(), angles.cos()], dim=1)
+        output = self.layers(torch.cat([features, g], dim=1))
+        if not self.two_way:
+            return output
+        mirrored = self.layers(torch.cat([features, -g], dim=1))
+        d = g.shape[1]
+        even = output[:, :d] + mirrored[:, :d]
+        return torch.cat([even, output[:, d:] - mirrored[:, d:]], dim=1) / 2
+
+    def to_perceptron(self) -> Perceptron:
+        """Returns the same function in NumPy float64, of one sign of g."""
+        layers = self.layers.to_perceptron()
+        frequencies = self.frequencies.double().numpy().copy()
+        passed = layers.num_inputs - 2 * len(frequencies)
+        features = FourierFeatures(frequencies, torch.zeros(len(frequencies)).numpy(), passed)
+        return Perceptron(layers.weights, layers.biases, features)
+
+
+def strand_loss(network: HeadingNetwork, mixture: StrandMixture) -> Losses:
+    """Regression on the mixture: compressed sigma S as in the robust score, and N.
+
+    Positions lie around the strands and in the box, directions along the strands and
+    anywhere in the unit ball.
+
+    Args:
+        network: What is trained.
+        mixture: The exact strands, normalised units.
+    """
+    points, directions = (
+        torch.as_tensor(array, dtype=torch.float32)
+        for array in (mixture.points, mixture.directions)
+    )
+    one_way = torch.as_tensor(mixture.one_way)
+    kappa = torch.as_tensor(mixture.sharpness, dtype=torch.float32)
+    sigma, d = mixture.sigma, points.shape[1]
+
+    def target(x: Tensor, g: Tensor) -> tuple[Tensor, Tensor]:
+        squares = torch.cdist(x, points, compute_mode="donot_use_mm_for_euclid_dist") ** 2
+        along = kappa * (g @ directions.T)
+        both = torch.logaddexp(along, -along) - torch.log(torch.tensor(2.0))
+        exponents = torch.where(one_way, along, both) - squares / (2 * sigma**2)
+        weights = torch.softmax(exponents, dim=1)
+        share = torch.where(one_way, 1.0, torch.tanh(along))
+        return (weights @ points - x) / sigma, (weights * share) @ directions
+
+    def losses() -> dict[str, Tensor]:
+        chosen = torch.randint(len(points), (BATCH_SIZE,))
+        wide = torch.where(torch.rand(BATCH_SIZE, 1) < WIDE_SHARE, WIDE, 1.0)
+        x = points[chosen] + sigma * wide * torch.randn(BATCH_SIZE, d)
+        in_box = round(BOX_SHARE * BATCH_SIZE)
+        x[:in_box] = BOX_HALF_SIZE * (2 * torch.rand(in_box, d) - 1)
+        g = torch.randn(BATCH_SIZE, d)
+        signs = torch.sign(torch.randn(BATCH_SIZE, 1))
+        near = signs * directions[chosen] + ALONG_SPREAD * torch.randn(BATCH_SIZE, d)
+        g = torch.where(torch.rand(BATCH_SIZE, 1) < ALONG_SHARE, near, g)
+        g = nn.functional.normalize(g, dim=1)
+        short = torch.rand(BATCH_SIZE, 1) < SHORT_SHARE
+        g = torch.where(short, torch.rand(BATCH_SIZE, 1) * g, g)
+        q, N = target(x, g)
+        output = network(x, g)
+        score = compress(output[:, :d]) - compress(q)
+        return {
+            "score": score.square().sum(dim=1).mean(),
+            "tangent": (output[:, d:] - N).square().sum(dim=1).mean(),
+        }
+
+    return losses
+
+
+def fit_strand_network(
+    mixture: StrandMixture, settings: "Settings", progress: Progress
+) -> tuple[StrandNetwork, pd.DataFrame]:
+    """Learns a mixture of strands; returns the network and the history.
+
+    Args:
+        mixture: The exact strands, normalised units.
+        settings: Those of the attempt; of networks and iterations the tangent's count.
+        progress: Told how far the training is.
+    """
+    two_way = not mixture.one_way.any()
+    network = HeadingNetwork(
+        mixture.points.shape[1],
+        settings.tangent_hidden,
+        settings.num_frequencies,
+        settings.frequency_std,
+        two_way,
+    )
+    steps = Optimization(settings.tangent_iterations, LEARNING_RATE, WARMUP, cosine=True)
+    history = optimize(network, strand_loss(network, mixture), steps, "strands", progress)
+    return StrandNetwork(network.to_perceptron(), mixture.sigma, two_way), history
