@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import click
 import typer
 
 from sgvf_drake.cli.application import app, console, progress
@@ -42,7 +41,7 @@ def train(
         Sampling | None, typer.Option(help="Sampling of the shape  \\[default: uniform].")
     ] = None,
     recipe: Annotated[
-        str, typer.Option(help="How to learn.", click_type=click.Choice(list(RECIPES)))
+        str, typer.Option(help="How to learn.", metavar=f"[{'|'.join(RECIPES)}]")
     ] = "robust",
     seed: Annotated[int, typer.Option(help="Of every random number of the run.")] = 0,
     is_open: Annotated[
@@ -71,7 +70,10 @@ def train(
     ] = None,
     anyway: Annotated[
         bool,
-        typer.Option("--anyway", help="A field of the position alone also for paths that branch or cross."),
+        typer.Option(
+            "--anyway",
+            help="No direction asked, though paths branch or cross.",
+        ),
     ] = False,
     sigma: Annotated[
         float | None, typer.Option(help="Noise level in U  \\[default: from the waypoints].")
@@ -199,6 +201,10 @@ def _check_recipe(
     recipe: str, of_path: Mapping[str, Any], score_iterations: int | None
 ) -> None:
     """Refuses options that the recipe would ignore."""
+    if recipe not in RECIPES:
+        raise ConfigurationError(
+            f"--recipe cannot be {recipe!r}; it is one of {', '.join(RECIPES)}"
+        )
     if not RECIPES[recipe].uses_paths:
         for name, value in of_path.items():
             if value is not None:

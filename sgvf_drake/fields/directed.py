@@ -179,13 +179,19 @@ class MemoryField:
         """The waypoints."""
         return self.field.cloud
 
-    def __call__(self, y: FloatArray) -> FloatArray:
-        """Returns F(y): (2d,) -> (2d,), or (n, 2d) -> (n, 2d)."""
+    def __call__(self, y: FloatArray, target: FloatArray | None = None) -> FloatArray:
+        """Returns F(y): (2d,) -> (2d,), or (n, 2d) -> (n, 2d).
+
+        Args:
+            y: Place and heading.
+            target: What the headings turn to in place of the tangent, (d,) or (n, d).
+        """
         x, h = np.split(np.asarray(y, np.float64), 2, axis=-1)
         z, g, shape = self.field._inputs(x, h)
         S, N = self.field.strands(z, g)
         s, v = self.field._composed(z, S, N)
-        turn = (self.field.composition.tangent(N) - g) / self.field.memory_length
+        wished = self.field.composition.tangent(N) if target is None else target
+        turn = (wished - g) / self.field.memory_length
         return np.concatenate([s + v, turn], axis=1).reshape(*shape[:-1], self.dim)
 
     def value_and_jacobian(self, y: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -92,7 +92,7 @@ class TrainingConfig:
     projection: bool | None = None
 
     def __post_init__(self) -> None:
-        if self.recipe not in RECIPES:
+        if self.recipe not in list(RECIPES):
             raise ConfigurationError(
                 f"unknown recipe {self.recipe!r}; choose one of {', '.join(RECIPES)}"
             )
@@ -213,6 +213,7 @@ _OF_THE_POSITION_ALONE = frozenset(
         "hint_weight",
     }
 )
+
 
 def _natural(value: Any) -> int:
     number = int(operator.index(value))

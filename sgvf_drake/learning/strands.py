@@ -61,9 +61,7 @@ def find_strands(
     """
     lines = [Piece(cloud.normalize(e.line.vertices), e.line.closed) for e in network.edges]
     if sigma is None:
-        sigma = min(
-            SIGMA_DEFAULT, SIGMA_PER_GAP * _gap(network, lines), _room(network, lines)
-        )
+        sigma = min(SIGMA_DEFAULT, SIGMA_PER_GAP * _gap(network, lines), _room(network, lines))
     arcs = [_evenly(line, SUPPORT_SPACING * sigma) for line in lines]
     one_way = [network.is_one_way(edge.piece) for edge in network.edges]
     number = np.repeat(np.arange(len(lines)), list(map(len, arcs)))
@@ -76,9 +74,7 @@ def find_strands(
         sigma,
     )
     ends = [network.nodes[end].place for end in resting_ends(network)]
-    return StrandSupport(
-        mixture, cloud.normalize(np.reshape(ends, (-1, cloud.dim))), number
-    )
+    return StrandSupport(mixture, cloud.normalize(np.reshape(ends, (-1, cloud.dim))), number)
 
 
 def resting_ends(network: PathNetwork) -> list[int]:

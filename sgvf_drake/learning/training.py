@@ -16,8 +16,9 @@ from sgvf_drake.fields import DirectedField, GuidingField, ScoreNetwork
 from sgvf_drake.learning.config import Settings, TrainingConfig
 from sgvf_drake.learning.recipes import RECIPES
 from sgvf_drake.learning.recipes.robust import composition
+from sgvf_drake.learning.route_check import check_directed
 from sgvf_drake.learning.score_stage import check_given_score
-from sgvf_drake.learning.self_check import SelfCheck, check_directed, check_field
+from sgvf_drake.learning.self_check import SelfCheck, check_field
 from sgvf_drake.learning.strands import StrandSupport, find_strands
 from sgvf_drake.learning.support import SIGMA_DEFAULT, SUPPORT_SPACING, Support, find_support
 from sgvf_drake.paths import PathNetwork
@@ -51,6 +52,19 @@ class TrainingResult:
     history: pd.DataFrame
     cpu_s: float
     wall_s: float
+
+    @property
+    def guiding_field(self) -> GuidingField:
+        """The field, where it is one of the position alone.
+
+        Raises:
+            ConfigurationError: If it is a directed field.
+        """
+        if isinstance(self.field, DirectedField):
+            raise ConfigurationError(
+                f"the paths are a {self.network.describe(0)}, and their field a directed one"
+            )
+        return self.field
 
 
 def train(

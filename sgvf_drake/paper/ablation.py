@@ -132,7 +132,7 @@ def measure_ablation(trial: AblationTrial, folder: Path) -> Row:
             tangent_iterations=trial.tangent_iterations,
             **VARIANTS[name][1],
         )
-        field = result.field
+        field = result.guiding_field
         if name == COMPLETE:
             assert isinstance(field.score_model, ScoreNetwork)
             shared = field.score_model

@@ -16,7 +16,7 @@ import pandas as pd
 
 from sgvf_drake import plotting
 from sgvf_drake.arrays import FloatArray, plane_grid
-from sgvf_drake.fields import Field, GuidingField, TangentField, load_field
+from sgvf_drake.fields import Field, GuidingField, TangentField, load_guiding_field
 from sgvf_drake.paper.along_path import directions, sample_path
 from sgvf_drake.paper.experiment import FOLDER
 from sgvf_drake.paper.intervals import POSITIVE, interval
@@ -86,7 +86,7 @@ def _draw_field(
 
     Arrows of one length and waypoints are coloured by the length of what is drawn.
     """
-    field = load_field(stem.with_suffix(".safetensors"))
+    field = load_guiding_field(stem.with_suffix(".safetensors"))
     run = np.load(stem.with_suffix(".npz"))
     part, cloud = drawn(field), field.cloud
     _, _, x = plane_grid(cloud.box, ARROWS)

@@ -21,7 +21,7 @@ from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments.follow import follow
 from sgvf_drake.experiments.workbench import Row, Workbench
-from sgvf_drake.fields import GuidingField, ScoreNetwork, load_field
+from sgvf_drake.fields import GuidingField, ScoreNetwork, load_guiding_field
 from sgvf_drake.lyapunov import find_guiding_zeros
 from sgvf_drake.metrics import default_duration
 from sgvf_drake.paper.claims import (
@@ -200,13 +200,13 @@ def measure_corners(trial: CornerTrial, folder: Path) -> Row:
     options: dict[str, Any] = {"seed": trial.seed, "effort": trial.effort}
     for name, hidden in PAPER_TANGENTS.items():
         results[name] = trained(cloud, "paper", **options, score=score, tangent_hidden=hidden)
-        learned = results[name].field.score_model
+        learned = results[name].guiding_field.score_model
         assert isinstance(learned, ScoreNetwork)
         score = learned
     results["robust"] = trained(cloud, "robust", **options)
     return {
         name: {
-            **_measure(result.field, trial, folder / name),
+            **_measure(result.guiding_field, trial, folder / name),
             "self_check_passed": result.self_check.passed,
             "restarts": result.restarts,
         }
@@ -481,7 +481,7 @@ def _views(trials: Sequence[Mapping[Any, Any]]) -> Iterator[View]:
         file = trial[FOLDER] / network
         with np.load(file.with_suffix(".npz")) as stored:
             positions = stored["positions"].astype(np.float64)
-        field = load_field(file.with_suffix(".safetensors"))
+        field = load_guiding_field(file.with_suffix(".safetensors"))
         yield View(f"{NAMES[corners]}, {network}", field, positions, trial[network])
 
 

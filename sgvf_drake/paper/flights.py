@@ -13,7 +13,7 @@ from sgvf_drake.experiments.figures.runs import tour_figure
 from sgvf_drake.experiments.flight import FORCE_COLUMNS, TAKE_OFF_S, Feasibility
 from sgvf_drake.experiments.tour import TourResult, fly_tour
 from sgvf_drake.experiments.workbench import Row, Workbench
-from sgvf_drake.fields import load_field
+from sgvf_drake.fields import load_guiding_field
 from sgvf_drake.metrics import REACH_DISTANCE
 from sgvf_drake.paper.claims import Claim, Count, Figures, Rows, Span, claims_of_recipes
 from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
@@ -71,7 +71,7 @@ def measure_flight(trial: FlightTrial, folder: Path) -> Row:
         propeller; and what `motion_of` does.
     """
     cloud, path = make_shape(trial.shape, seed=trial.seed)
-    field = trained(cloud, trial.recipe, trial.seed).field
+    field = trained(cloud, trial.recipe, trial.seed).guiding_field
     field.save(folder / FIELD)
     try:
         result = fly_tour(
@@ -230,7 +230,7 @@ def _flight_figure(flight: Mapping[Any, Any]) -> Exhibit:
         f"{shape}, recipe {recipe}, seed {seed}: trajectory, cross-track error, velocity and "
         f"propeller forces of one flight along the pieces {pieces} at {speed:g} m/s by noisy "
         f"and late measurements; it is {'' if result.completed else 'not '}completed.",
-        tour_figure(FieldForSpeed(load_field(folder / FIELD), speed), cloud, result),
+        tour_figure(FieldForSpeed(load_guiding_field(folder / FIELD), speed), cloud, result),
     )
 
 

@@ -20,7 +20,7 @@ from sgvf_drake.fields import (
     GaussianMixture,
     GuidingField,
     LagrangeCurve,
-    load_field,
+    load_guiding_field,
 )
 from sgvf_drake.fields.classical import Curve
 from sgvf_drake.metrics import REACH_DISTANCE, SETTLE_DISTANCE, grid_starts
@@ -141,7 +141,7 @@ def measure_learned(trial: LearnedTrial, folder: Path) -> Row:
     """
     cloud, path = make_case(CASES[trial.case], trial.seed)
     # One attempt: at a fork, the self-check finds a fault in whatever was trained.
-    field = trained(cloud, trial.recipe, trial.seed, max_restarts=0).field
+    field = trained(cloud, trial.recipe, trial.seed, max_restarts=0).guiding_field
     field.save(folder / FIELD)
     run, ways = follow_case(field, path, trial.recipe, trial.starts, folder)
     return {"success": float(ways.good.mean()), "coverage": coverage(run, ways, cloud)}
@@ -216,7 +216,7 @@ class Indexing(Experiment):
             "indexing, learned fields",
         )
         fields = {
-            case: [load_field(folder / FIELD) for folder in own[FOLDER]]
+            case: [load_guiding_field(folder / FIELD) for folder in own[FOLDER]]
             for case, own in learned.groupby("case")
         }
         agents = [

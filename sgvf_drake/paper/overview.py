@@ -15,7 +15,7 @@ from sgvf_drake.arrays import FloatArray
 from sgvf_drake.experiments.follow import FollowResult, follow
 from sgvf_drake.experiments.quality.measures import following, measure_score
 from sgvf_drake.experiments.workbench import Row, Workbench
-from sgvf_drake.fields import ScoreField, TangentField, load_field
+from sgvf_drake.fields import ScoreField, TangentField, load_guiding_field
 from sgvf_drake.learning.recipes import RECIPES
 from sgvf_drake.metrics import default_duration
 from sgvf_drake.paper.claims import (
@@ -92,15 +92,15 @@ def measure_overview(trial: OverviewTrial, folder: Path) -> Row:
     cloud, path = make_shape(trial.shape, seed=trial.seed)
     result = trained(cloud, trial.recipe, trial.seed)
     duration = RECIPES[trial.recipe].patience * default_duration(path, cloud.unit_length)
-    run = follow(result.field, path, trial.starts, duration)
-    result.field.save(folder / FIELD)
+    run = follow(result.guiding_field, path, trial.starts, duration)
+    result.guiding_field.save(folder / FIELD)
     result.history.to_parquet(folder / LOSSES, index=False)
     agents = run.positions[::THINNING, far_starts(run, path)]
     np.save(folder / AGENTS, agents.astype(np.float32))
     lapped = run.metrics.lapped
     return {
         **following(run, cloud.unit_length),
-        **measure_score(result.field, path, trial.seed),
+        **measure_score(result.guiding_field, path, trial.seed),
         "pieces": len(path.pieces),
         "pieces_lapped": len(np.unique(run.metrics.piece[lapped])),
         "all_lap": bool(lapped.all()),
@@ -252,7 +252,7 @@ def overview_figure(folders: Mapping[str, Path]) -> Figure:
     """Draws one row a recipe: score field, tangent field, losses, two agents (Fig. 2)."""
     figure, axes = plotting.new_figure(len(folders), 4, 13, 3.5 * len(folders))
     for number, (recipe, folder) in enumerate(folders.items()):
-        field = load_field(folder / FIELD)
+        field = load_guiding_field(folder / FIELD)
         history = pd.read_parquet(folder / LOSSES)
         score, tangent, losses, plane = axes[4 * number : 4 * number + 4]
         for each, part, title in (

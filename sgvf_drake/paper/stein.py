@@ -191,7 +191,7 @@ def measure_stein(trial: SteinTrial, folder: Path) -> Row:
     else:
         # The tangent is not asked for.
         options: dict[str, Any] = {"tangent_iterations": 1, "max_restarts": 0}
-        learned = trained(cloud, trial.score, trial.seed, **options).field
+        learned = trained(cloud, trial.score, trial.seed, **options).guiding_field
         points = cloud.points if learned.support is None else learned.support
         mixture = GaussianMixture(cloud.normalize(points), learned.sigma)
         score = learned.score_model

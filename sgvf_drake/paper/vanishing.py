@@ -23,7 +23,7 @@ from sgvf_drake.experiments.figures.singularities import (
 )
 from sgvf_drake.experiments.singularities import singularity_summary, zero_rows
 from sgvf_drake.experiments.workbench import Row, Workbench
-from sgvf_drake.fields import GuidingField, ScoreField, load_field
+from sgvf_drake.fields import GuidingField, ScoreField, load_guiding_field
 from sgvf_drake.lyapunov import NEAR_PATH, Singularities, find_singularities, measure_vanishing
 from sgvf_drake.paper.claims import Claim, Count, Figures, Rows, Verdict, every
 from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
@@ -170,7 +170,7 @@ class ScoreVanishing(Experiment):
     def figures(self, rows: Rows) -> Sequence[Exhibit]:
         seed = self.seeds[0]
         first = _robust(rows[FIELDS]).query("seed == @seed").set_index("shape")[FOLDER]
-        fields = {shape: load_field(first[shape] / FIELD) for shape in self.shapes}
+        fields = {shape: load_guiding_field(first[shape] / FIELD) for shape in self.shapes}
         found = {shape: find_singularities(field) for shape, field in fields.items()}
         shape, around = self.shapes[0], rows[PARAMETRIC].iloc[0]
         figure = vanishing_figure(fields[shape], found[shape], around)
@@ -203,7 +203,7 @@ def measure_score_zeros(trial: VanishingTrial, folder: Path) -> Row:
     }
     cloud, path = make_shape(trial.shape, seed=trial.seed)
     own = settings[trial.recipe]
-    field = trained(cloud, trial.recipe, trial.seed, effort=trial.effort, **own).field
+    field = trained(cloud, trial.recipe, trial.seed, effort=trial.effort, **own).guiding_field
     found = find_singularities(field)
     vanishing = measure_vanishing(field, found, path)
     field.save(folder / FIELD)

@@ -84,7 +84,7 @@ class Navigator:
             along = 4 * TIE * (h @ self._tangents.T)
             cost = np.where(near, cost - along, np.inf)
         arc = self._refined(x, np.argmin(cost, axis=1))
-        return NavigatorState(self._section_at(arc), arc)
+        return NavigatorState(self.section_at(arc), arc)
 
     def advance(self, state: NavigatorState, x: FloatArray) -> NavigatorState:
         """Returns the state of agents that have moved on to `x` (n, d).
@@ -104,11 +104,11 @@ class Navigator:
         rows = np.arange(len(x))
         best = np.argmin(squared, axis=1)
         arc = np.clip(self._refined(x, sample[rows, best]), lower, upper)
-        section = np.maximum(state.section, self._section_at(arc))
+        section = np.maximum(state.section, self.section_at(arc))
         lost = squared[rows, best] > self._lost**2
         if lost.any():
             arc[lost] = self._anew(x[lost], state.arc[lost])
-            section[lost] = self._section_at(arc[lost])
+            section[lost] = self.section_at(arc[lost])
         return NavigatorState(section, arc)
 
     def direction(self, state: NavigatorState) -> FloatArray:
@@ -182,7 +182,7 @@ class Navigator:
         half = self._spacing / 2
         return sample * self._spacing + np.clip(ahead, -half, half)
 
-    def _section_at(self, arc: FloatArray) -> IntArray:
+    def section_at(self, arc: FloatArray) -> IntArray:
         """The section (n,) that begins at or before an arc length."""
         if not self._closed:
             return np.searchsorted(self._guards, arc, side="right")

@@ -67,7 +67,7 @@ def measure_case(case: Case, folder: Path) -> Row:
     cloud, reference = clouds.make_cloud(case.cloud, case.sampling, case.seed, case.source)
     settings: dict[str, Any] = {"recipe": case.recipe, "seed": case.seed, "anyway": True}
     result = train(cloud, TrainingConfig(**settings, **dict(case.overrides)))
-    field = result.field
+    field = result.guiding_field
     usual = default_duration(reference, cloud.unit_length)
     duration = RECIPES[case.recipe].patience * usual
     run = follow(field, reference, case.starts, duration)

@@ -1,8 +1,6 @@
 """The recipe `exact`: the closed-form score of the mixture in place of a network."""
 
-from typing import TYPE_CHECKING
-
-import pandas as pd
+from typing import TYPE_CHECKING, ClassVar
 
 from sgvf_drake.fields import GaussianMixture, ScoreNetwork, StrandMixture, StrandNetwork
 from sgvf_drake.fields.base import FloatArray
@@ -11,6 +9,8 @@ from sgvf_drake.learning.recipes.robust import RobustRecipe, composition, fit_ta
 from sgvf_drake.progress import Progress
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from sgvf_drake.learning.config import Settings
 
 
@@ -18,9 +18,9 @@ class ExactRecipe(Recipe):
     """The tangent of the robust recipe on the exact score; directed fields without learning."""
 
     name = "exact"
-    defaults = RobustRecipe.defaults
-    strand_defaults = RobustRecipe.defaults
-    refused = {"exact_target": "which has no score network"}
+    defaults: ClassVar = RobustRecipe.defaults
+    strand_defaults: ClassVar = RobustRecipe.defaults
+    refused: ClassVar = {"exact_target": "which has no score network"}
     learns_score = False
 
     def fit(
@@ -46,6 +46,6 @@ class ExactRecipe(Recipe):
 
     def fit_strands(
         self, mixture: StrandMixture, settings: "Settings", progress: Progress
-    ) -> tuple[StrandMixture | StrandNetwork, list[pd.DataFrame]]:
+    ) -> "tuple[StrandMixture | StrandNetwork, list[pd.DataFrame]]":
         """See `Recipe.fit_strands`: the mixture as it is."""
         return mixture, []

@@ -1,6 +1,6 @@
 """The recipe `paper`: Algorithms 1 and 2 to the letter, there to be compared."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from sgvf_drake.fields import PaperComposition, ScoreNetwork
 from sgvf_drake.fields.base import FloatArray
@@ -20,7 +20,7 @@ class PaperRecipe(Recipe):
 
     name = "paper"
     # Paper, Section V-A: networks, iterations, k_s and lambdas.  No restarts.
-    defaults = {
+    defaults: ClassVar = {
         "max_restarts": 0,
         "sigma_min": 0.1,
         "gain": 0.2,
@@ -37,7 +37,7 @@ class PaperRecipe(Recipe):
         "hint_weight": 0.0,
         "projection": False,
     }
-    refused = {
+    refused: ClassVar = {
         "num_frequencies": "whose networks see x and t themselves",
         "hint_weight": "which has no orientation hint",
         "projection": "whose field is the plain sum s + v",

@@ -3,9 +3,8 @@
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
-
-import pandas as pd
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from sgvf_drake.fields import (
     Composition,
@@ -19,6 +18,8 @@ from sgvf_drake.fields.base import FloatArray
 from sgvf_drake.progress import Progress
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from sgvf_drake.learning.config import Settings
 
 
@@ -29,7 +30,7 @@ class Fitted:
     score_model: ScoreNetwork | GaussianMixture
     tangent_network: Perceptron
     composition: Composition
-    histories: list[pd.DataFrame]
+    histories: "list[pd.DataFrame]"
 
 
 class Recipe(ABC):
@@ -48,13 +49,13 @@ class Recipe(ABC):
         patience: How many times as long as usual its fields are followed.
     """
 
-    name: str
-    defaults: Mapping[str, Any]
-    strand_defaults: Mapping[str, Any] | None = None
-    refused: Mapping[str, str] = {}
-    learns_score = True
-    uses_paths = True
-    patience = 1.0
+    name: ClassVar[str]
+    defaults: ClassVar[Mapping[str, Any]]
+    strand_defaults: ClassVar[Mapping[str, Any] | None] = None
+    refused: ClassVar[Mapping[str, str]] = MappingProxyType({})
+    learns_score: ClassVar[bool] = True
+    uses_paths: ClassVar[bool] = True
+    patience: ClassVar[float] = 1.0
 
     @abstractmethod
     def fit(
@@ -77,6 +78,6 @@ class Recipe(ABC):
 
     def fit_strands(
         self, mixture: StrandMixture, settings: "Settings", progress: Progress
-    ) -> tuple[StrandMixture | StrandNetwork, list[pd.DataFrame]]:
+    ) -> "tuple[StrandMixture | StrandNetwork, list[pd.DataFrame]]":
         """Learns the strands of a directed field; only with `strand_defaults`."""
         raise NotImplementedError

@@ -1,8 +1,6 @@
 """The recipe `robust`, the default: reliable on every cloud that shows its paths."""
 
-from typing import TYPE_CHECKING
-
-import pandas as pd
+from typing import TYPE_CHECKING, ClassVar
 
 from sgvf_drake.fields import (
     Perceptron,
@@ -16,6 +14,7 @@ from sgvf_drake.learning.recipes.recipe import Fitted, Recipe
 from sgvf_drake.progress import Progress
 
 if TYPE_CHECKING:
+    import pandas as pd
     from torch import Tensor
 
     from sgvf_drake.learning.config import Settings
@@ -32,10 +31,10 @@ HINT_WEIGHT = 3.0
 
 
 class RobustRecipe(Recipe):
-    """The exact score as the target, Fourier features, an orientation hint, |m| = 1 built in."""
+    """The exact score as target, Fourier features, an orientation hint, |m| = 1 built in."""
 
     name = "robust"
-    defaults = {
+    defaults: ClassVar = {
         "max_restarts": 2,
         "num_frequencies": 32,
         "exact_target": True,
@@ -47,7 +46,7 @@ class RobustRecipe(Recipe):
         "hint_weight": HINT_WEIGHT,
         "projection": True,
     }
-    strand_defaults = defaults | {
+    strand_defaults: ClassVar = defaults | {
         "num_frequencies": 96,
         "tangent_hidden": (128, 128, 128),
         "tangent_iterations": 1_500,
@@ -87,7 +86,7 @@ class RobustRecipe(Recipe):
 
     def fit_strands(
         self, mixture: StrandMixture, settings: "Settings", progress: Progress
-    ) -> tuple[StrandMixture | StrandNetwork, list[pd.DataFrame]]:
+    ) -> "tuple[StrandMixture | StrandNetwork, list[pd.DataFrame]]":
         """See `Recipe.fit_strands`: one network of (x, g)."""
         from sgvf_drake.learning.directed import fit_strand_network
 
@@ -97,9 +96,7 @@ class RobustRecipe(Recipe):
 
 def composition(settings: "Settings") -> RobustComposition:
     """Returns how score and tangent are put together."""
-    return RobustComposition(
-        settings.gain, settings.sigma_min, projects=settings.projection
-    )
+    return RobustComposition(settings.gain, settings.sigma_min, projects=settings.projection)
 
 
 def fit_tangent(
@@ -108,7 +105,7 @@ def fit_tangent(
     hint: FloatArray,
     settings: "Settings",
     progress: Progress,
-) -> tuple[Perceptron, pd.DataFrame]:
+) -> "tuple[Perceptron, pd.DataFrame]":
     """Learns the tangent on a fixed score; returns its network and the history."""
     import torch
 

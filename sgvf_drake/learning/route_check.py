@@ -1,0 +1,156 @@
+"""The first look at a directed field: is every edge followed, and every turn made?"""
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from sgvf_drake.fields import DirectedField, FloatArray
+from sgvf_drake.learning.self_check import (
+    AROUND,
+    LENGTHS,
+    PASS_DISTANCE,
+    WAY_IN,
+    Fault,
+    PieceCheck,
+    SelfCheck,
+)
+from sgvf_drake.paths.itinerary import Itinerary, successors
+from sgvf_drake.paths.navigator import Navigator, NavigatorState
+
+STARTS_AROUND = 4
+"""Starts around each edge, headed by chance, which have to come to a path."""
+
+STEP = 0.5
+"""The way between two looks at where a robot is on its itinerary, in noise levels."""
+
+TOLERANCE = 1e-3
+"""Of the integration, in U."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """An edge and one that can follow it: from the middle of the one to that of the other.
+
+    The first and the last edge of a path are driven whole.
+    """
+
+    piece: int
+    navigator: Navigator
+    begin: float
+    end: float
+
+
+def check_directed(field: DirectedField) -> SelfCheck:
+    """Drives over every edge and through every turn, and in from around every edge."""
+    network = field.network
+    runs = _runs(field)
+    missed = _drive(field, runs)
+    strayed = _come_in(field)
+    checks = []
+    for piece in range(network.num_pieces):
+        edges = [edge for edge in network.edges if edge.piece == piece]
+        own = [place for run, place in zip(runs, missed, strict=True) if run.piece == piece]
+        around = [place for number, place in strayed if number == piece]
+        faults = [Fault("skip", tuple(p.tolist())) for p in own if p is not None]
+        faults += [Fault("leave", tuple(p.tolist())) for p in around if p is not None]
+        checks.append(
+            PieceCheck(
+                length=sum(edge.length for edge in edges),
+                closed=network.kind(piece) == "closed path",
+                starts=len(own) + len(around),
+                completed=len(own) + len(around) - len(faults),
+                faults=tuple(faults),
+            )
+        )
+    return SelfCheck(tuple(checks))
+
+
+def _runs(field: DirectedField) -> list[_Run]:
+    network, sigma = field.network, field.memory_length
+    following = successors(network)
+    entered = Counter(after for numbers in following.values() for after in numbers)
+    runs = []
+    for number, numbers in following.items():
+        for edges in [[number, after] for after in numbers] or [[number]]:
+            itinerary = Itinerary.along(edges, network, closed=False)
+            ends = np.append(itinerary.starts, itinerary.length)
+            begin = ends[1] / 2 if entered[number] else 0.0
+            end = ends[-2:].mean() if following[edges[-1]] else ends[-1]
+            navigator = Navigator(itinerary, sigma, step=STEP * sigma)
+            piece = network.edges[abs(number) - 1].piece
+            runs.append(_Run(piece, navigator, float(begin), float(end)))
+    return runs
+
+
+def _drive(field: DirectedField, runs: list[_Run]) -> list[FloatArray | None]:
+    """Where each run ended that did not come to its end; None for the others."""
+    step = STEP * field.memory_length
+    lines = [run.navigator.itinerary.line for run in runs]
+    begins = np.array([run.begin for run in runs])
+    x = np.concatenate([line.at(s) for line, s in zip(lines, begins[:, None], strict=True)])
+    states = [
+        NavigatorState(run.navigator.section_at(s), s)
+        for run, s in zip(runs, begins[:, None], strict=True)
+    ]
+    h = np.concatenate(
+        [run.navigator.direction(s) for run, s in zip(runs, states, strict=True)]
+    )
+    way_in = WAY_IN * field.cloud.unit_length
+    left = np.array([LENGTHS * (run.end - run.begin) for run in runs]) + way_in
+    running = np.arange(len(runs))
+    arrived = np.zeros(len(runs), bool)
+    while len(running):
+        target = np.concatenate([runs[k].navigator.direction(states[k]) for k in running])
+        x[running], h[running] = _moved(field, x[running], h[running], target, step)
+        for k in running:
+            states[k] = runs[k].navigator.advance(states[k], x[k : k + 1])
+            arrived[k] = (
+                states[k].arc[0] >= runs[k].end or runs[k].navigator.completed(states[k])[0]
+            )
+        left[running] -= step
+        running = running[~arrived[running] & (left[running] > 0)]
+    return [None if done else place for done, place in zip(arrived, x, strict=True)]
+
+
+def _come_in(field: DirectedField) -> list[tuple[int, FloatArray | None]]:
+    """The piece of each start around the edges, and where it ended, if off all paths."""
+    rng = np.random.default_rng(0)
+    unit = field.cloud.unit_length
+    edges = field.network.edges
+    beside = np.concatenate([edge.line.sample(STARTS_AROUND + 1)[1:] for edge in edges])
+    away, heading = rng.normal(size=(2, *beside.shape))
+    x = beside + AROUND * unit * away / np.linalg.norm(away, axis=1, keepdims=True)
+    h = heading / np.linalg.norm(heading, axis=1, keepdims=True)
+    x, h = _moved(field, x, h, None, WAY_IN * unit)
+    off = field.network.path.project(x).distance > max(PASS_DISTANCE, field.sigma) * unit
+    pieces = np.repeat([edge.piece for edge in edges], len(beside) // len(edges))
+    return [
+        (int(piece), place if is_off else None)
+        for piece, place, is_off in zip(pieces, x, off, strict=True)
+    ]
+
+
+def _moved(
+    field: DirectedField, x: FloatArray, h: FloatArray, target: FloatArray | None, way: float
+) -> tuple[FloatArray, FloatArray]:
+    """Places and headings some way on, with headings that turn to a target or the tangent."""
+    motion = field.with_memory()
+
+    def derivative(_: float, y: FloatArray) -> FloatArray:
+        y = y.reshape(len(x), -1)
+        return motion(y, target).ravel()
+
+    y = np.concatenate([x, h], axis=1)
+    tolerance = TOLERANCE * np.repeat([field.cloud.unit_length, 1.0], field.dim)
+    solution = solve_ivp(
+        derivative,
+        (0, way),
+        y.ravel(),
+        method="RK23",
+        rtol=TOLERANCE,
+        atol=np.tile(tolerance, len(x)),
+    )
+    x, h = np.split(solution.y[:, -1].reshape(y.shape), 2, axis=1)
+    return x, h
