@@ -12,7 +12,12 @@ from pydrake.systems.scalar_conversion import TemplateSystem
 
 from sgvf_drake.compiling import digest, kernel
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.fields.base import AdjustableField, CompilableField, Field
+from sgvf_drake.fields.base import (
+    AdjustableField,
+    CompilableField,
+    Field,
+    SteerableField,
+)
 from systems import quadrotor, scalars
 from systems.quadrotor import STATE_SIZE, VELOCITY
 from systems.scalars import (
@@ -28,6 +33,7 @@ from systems.scalars import (
     Tanh,
     ToFloat,
     ToList,
+    ToVector,
     compilable,
     remembered,
 )
@@ -49,6 +55,9 @@ MAX_APPROACH_RATE = 4.0
 """1/s; how fast a flown field may ask a vehicle to turn toward the path.  A third of the
 attitude bandwidth of the default controller: beyond about 8 the flight oscillates across the
 path, below it costs nothing measurable."""
+
+LENGTH_ROUNDING = 1e-9
+"""By which a heading may be longer than 1."""
 
 WIDENED_FIELDS = 8
 """Fields of other approach lengths that a system keeps, one for each speed in use."""
@@ -88,10 +97,12 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             name: GuidanceSystem
             input_ports:
             - state
+            - intended_direction (with a directed field)
             output_ports:
             - velocity_command
             - acceleration_feedforward
             - speed
+            - heading (with a directed field)
 
         `state` (12) is QuadrotorPlant's, in metres, radians and seconds; z is up.
 
@@ -103,6 +114,14 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
         Jacobian.  It is what makes a vehicle turn with the path instead of after it.
 
         `speed` (1) is the parameter of that name, in m/s.
+
+        A directed field m(x, g) is followed with g = h, a heading that is remembered in the
+        continuous state (d), of no unit and of length at most 1.  It turns to
+        `intended_direction` (d), or, where that is zero or not connected, to the tangent of
+        the strand that is followed: the vehicle then goes straight on.  It does so over the
+        distance `memory_length` of the field.  `heading` (d) is that state; a vehicle whose
+        heading is zero follows no network, so see `SetHeading`.  The rate of the heading is
+        part of the feed-forward.
 
         A field of dimension 2 guides x and y, and the altitude is held by a velocity
         command ``ALTITUDE_GAIN (altitude - z)``, smoothly limited to `MAX_CLIMB_RATE` by a
@@ -118,7 +137,7 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
         field.
 
         Args:
-            field: The guiding field, of dimension 2 or 3, in metres.
+            field: The guiding field, of dimension 2 or 3, in metres; perhaps a directed one.
             speed: In m/s, at which the field is followed.
             altitude: In m; only for a field of dimension 2.
             feedforward: False makes `acceleration_feedforward` zero, to show what it is
@@ -157,8 +176,22 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             )
             state = self.input_port_ticket(self._state.get_index())
             parameters = self.all_parameters_ticket()
-            DeclareCommandPorts(self, T, self._CalcCommands, {state, parameters})
+            sources = {state, parameters}
+            self._intended: Any = None
+            if isinstance(field, SteerableField):
+                self._intended = self.DeclareVectorInputPort("intended_direction", field.dim)
+                self.DeclareContinuousState(field.dim)
+                self._memory_length = field.with_memory().memory_length
+                sources |= {
+                    self.xc_ticket(),
+                    self.input_port_ticket(self._intended.get_index()),
+                }
+            DeclareCommandPorts(self, T, self._CalcCommands, sources)
             self.DeclareVectorOutputPort("speed", 1, self._CalcSpeed, {parameters})
+            if self._intended is not None:
+                self.DeclareVectorOutputPort(
+                    "heading", field.dim, self._CopyHeading, {self.xc_ticket()}
+                )
 
         _construct_copy = ConstructCopy
 
@@ -210,6 +243,62 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             CheckPositiveParameter("approach_length", length)
             context.get_mutable_numeric_parameter(self.parameter_index).SetAtIndex(2, T(length))
 
+        def GetHeading(self, context: Any) -> np.ndarray:
+            """Returns the heading (d,) of a directed field; this system's own Context."""
+            return context.get_continuous_state_vector().CopyToVector()
+
+        def SetHeading(self, context: Any, heading: Any) -> None:
+            """Sets the heading (d,) of a directed field; this system's own Context is wanted.
+
+            Raises:
+                ConfigurationError: if the field has none, or it is not finite or too long.
+            """
+            values = np.asarray(heading, dtype=np.float64)
+            if self._intended is None:
+                raise ConfigurationError("the field is no directed one; it has no heading")
+            if values.shape != (self._field.dim,) or not (
+                np.linalg.norm(values) <= 1.0 + LENGTH_ROUNDING
+            ):
+                raise ConfigurationError(
+                    f"a heading is a vector ({self._field.dim},) of length at most 1, got "
+                    f"{values.tolist()}"
+                )
+            context.SetContinuousState(ToVector(T, values.tolist()))
+
+        def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
+            """Turns the heading."""
+            if self._intended is not None:
+                motion = self._EvalMotion(context, self._state.Eval(context))
+                turn = self._Turn(context, motion)
+                derivatives.get_mutable_vector().SetFromVector(self.GetSpeed(context) * turn)
+
+        def _EvalField(self, context: Any, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            """Returns m and J by rows, (d + d^2,), and dm by the turn of the heading, (d,)."""
+            d = self._field.dim
+            if self._intended is None:
+                flown = self._Flown(*self._ReadParameters(context)[2:])
+                return flown.evaluate(state[:d]), np.zeros(d)
+            motion = self._EvalMotion(context, state)
+            J = motion[2 * d : 2 * d + 2 * d * d].reshape(d, 2 * d)
+            field = np.concatenate((motion[:d], J[:, :d].ravel()))
+            return field, J[:, d:] @ self._Turn(context, motion)
+
+        def _EvalMotion(self, context: Any, state: np.ndarray) -> np.ndarray:
+            """Returns F of place and heading, and its Jacobian by rows, (2d + 4d^2,)."""
+            flown = self._Flown(*self._ReadParameters(context)[2:])
+            y = np.concatenate((state[: self._field.dim], self.GetHeading(context)))
+            return flown.evaluate(y)
+
+        def _Turn(self, context: Any, motion: np.ndarray) -> np.ndarray:
+            """Returns by how much the heading turns, (d,) per metre."""
+            d = self._field.dim
+            if self._intended.HasValue(context):
+                intended = self._intended.Eval(context)
+                CheckFinite(self, context, self._intended, ToList(intended))
+                if any(ToList(intended)):
+                    return (intended - self.GetHeading(context)) / self._memory_length
+            return motion[d : 2 * d]
+
         def _ReadParameters(self, context: Any) -> list[Scalar]:
             """Returns speed, altitude and, as a plain float, approach length."""
             parameters = self._Parameters(context).CopyToVector().tolist()
@@ -222,10 +311,13 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
 
         def _CalcCommands(self, context: Any) -> np.ndarray:
             state = self._state.Eval(context)
-            speed, altitude, approach_length = self._ReadParameters(context)
+            speed, altitude, _ = self._ReadParameters(context)
             CheckNonNegativeParameter("speed", speed)
-            field = self._Flown(approach_length).evaluate(state[: self._field.dim])
+            field, turning = self._EvalField(context, state)
             commands = self._Calc(field, state, speed, altitude)
+            if self._intended is not None:
+                # The heading turns at the commanded speed, whatever the vehicle's own.
+                commands[3 : 3 + len(turning)] += speed * speed * turning
             # Looked at afterwards: what is not finite has made all commands so.
             if not math.isfinite(ToFloat(commands[0])):
                 CheckFinite(self, context, self._state, ToList(state))
@@ -234,6 +326,9 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             if not self._feedforward:
                 commands[3:] = T(0.0)
             return commands
+
+        def _CopyHeading(self, context: Any, output: Any) -> None:
+            output.SetFromVector(self.GetHeading(context))
 
         def _CalcSpeed(self, context: Any, output: Any) -> None:
             output.SetAtIndex(0, self.GetSpeed(context))
@@ -331,7 +426,10 @@ _CalcCommandsCompiled = _MakeCompiled(digest(scalars, quadrotor))
 
 
 class _FlownField(NamedTuple):
-    """A field of one approach length, and what evaluates it at one point: see `EvalField`."""
+    """A field of one approach length, and what evaluates it at one point: see `EvalField`.
+
+    A directed field is evaluated as the motion of place and heading.
+    """
 
     field: Field
     evaluate: Callable[[np.ndarray], np.ndarray]
@@ -342,6 +440,7 @@ def _Fly(field: Field, T: type, approach_length: float) -> _FlownField:
         CheckPositiveParameter("approach_length", approach_length)
         if approach_length != field.approach_length:
             field = field.with_approach_length(approach_length)
-    if T is float and isinstance(field, CompilableField):
-        return _FlownField(field, field.compiled().evaluate)
-    return _FlownField(field, partial(EvalField, field))
+    followed = field.with_memory() if isinstance(field, SteerableField) else field
+    if T is float and isinstance(followed, CompilableField):
+        return _FlownField(field, followed.compiled().evaluate)
+    return _FlownField(field, partial(EvalField, followed))

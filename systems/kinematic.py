@@ -16,7 +16,7 @@ from pydrake.systems.primitives import Integrator, LogVectorOutput
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
-from sgvf_drake.fields.base import Field
+from sgvf_drake.fields.base import Field, MotionField
 from systems.lyapunov_monitor import AddLyapunovMonitor, DifferentiableFunction
 from systems.scalars import (
     SCALARS,
@@ -39,16 +39,22 @@ def KinematicGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
             name: KinematicGuidance
             input_ports:
             - positions
+            - intended_directions (with the motion of a directed field)
             output_ports:
             - velocities
 
         `positions` (n d) holds the n positions one after the other, in the field's unit of
         length; `velocities` (n d) holds speed m(p) for each in the same order.
 
+        With the motion of a directed field (`DirectedField.with_memory`), of dimension d, a
+        position is one of d / 2 coordinates and as many of the agent's heading.  The headings
+        turn to `intended_directions` (n d / 2), or, where such a direction is zero or the port
+        is not connected, to the tangent of the strand that is followed.
+
         The one numeric parameter (index `parameter_index`) is the speed.
 
         Args:
-            field: The guiding field, of any dimension d.
+            field: The guiding field, of any dimension d, or a motion.
             num_agents: n.
             speed: In the field's unit of length per second.
 
@@ -75,6 +81,9 @@ def KinematicGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
             self._shape = (field.dim,) if num_agents == 1 else (num_agents, field.dim)
             size = num_agents * field.dim
             self._positions = self.DeclareVectorInputPort("positions", size)
+            self._intended: Any = None
+            if isinstance(field, MotionField):
+                self._intended = self.DeclareVectorInputPort("intended_directions", size // 2)
             self.parameter_index = self.DeclareNumericParameter(BasicVector_[T]([speed]))
             self._velocities = self.DeclareVectorOutputPort(
                 "velocities",
@@ -102,9 +111,23 @@ def KinematicGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
         def _CalcVelocities(self, context: Any, output: Any) -> None:
             positions = self._positions.Eval(context).reshape(self._shape)
             self._CheckAgents(context, "the position", positions)
-            velocities = self.GetSpeed(context) * EvalFieldValue(self._field, positions)
+            rates = EvalFieldValue(self._field, positions)
+            if self._intended is not None and self._intended.HasValue(context):
+                self._TurnToIntended(context, positions, rates)
+            velocities = self.GetSpeed(context) * rates
             self._CheckAgents(context, "the velocity", velocities)
             output.SetFromVector(velocities.reshape(-1))
+
+        def _TurnToIntended(
+            self, context: Any, positions: np.ndarray, rates: np.ndarray
+        ) -> None:
+            """Changes the rates of the headings that have a direction to turn to."""
+            d = self._field.dim // 2
+            intended = self._intended.Eval(context).reshape(*self._shape[:-1], d)
+            self._CheckAgents(context, "the intended direction", intended)
+            given = (intended != 0).any(axis=-1, keepdims=True)
+            turns = (intended - positions[..., d:]) / self._field.memory_length
+            rates[..., d:] = np.where(given, turns, rates[..., d:])
 
         def _CheckAgents(self, context: Any, quantity: str, values: np.ndarray) -> None:
             CheckFiniteAgents(self, context, quantity, values.reshape(self.num_agents, -1))

@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sgvf_drake.paths import PathNetwork
+from sgvf_drake.paths import PathNetwork, Piece
+from sgvf_drake.paths.network import Edge, Node, Route
 
 Array = NDArray[np.float64]
 
@@ -72,6 +73,32 @@ def topology(network: PathNetwork) -> Topology:
         degrees["junction"],
         degrees["crossing"],
     )
+
+
+def straight_network(
+    places: Array, pairs: list[tuple[int, int]], bows: dict[int, Array] | None = None
+) -> PathNetwork:
+    """A network of straight edges between places, and of a few edges with given inner points.
+
+    Its scale sigma is a tenth of U.
+    """
+    places = np.asarray(places, dtype=float)
+    degrees = np.bincount(np.ravel(pairs), minlength=len(places))
+    nodes = tuple(
+        Node(place, "end" if degree == 1 else "junction", int(degree), 0)
+        for place, degree in zip(places, degrees, strict=True)
+    )
+    lines = [
+        np.concatenate([places[[a]], (bows or {}).get(k, np.empty((0, 2))), places[[b]]])
+        for k, (a, b) in enumerate(pairs)
+    ]
+    edges = tuple(
+        Edge(Piece(line, closed=False), pair, 0, 0.0, 1 / len(pairs))
+        for line, pair in zip(lines, pairs, strict=True)
+    )
+    routes = tuple(Route.along([k], edges, False) for k in range(len(edges)))
+    unit = float(np.ptp(np.concatenate(lines), axis=0).max()) / 8
+    return PathNetwork(nodes, edges, routes, unit, 0.1 * unit, 0.0, 0.05 * unit, 0)
 
 
 def _curve(*coordinates: Callable[[Array], Array]) -> Array:

@@ -43,6 +43,31 @@ class AdjustableField(Field, Protocol):
         """Returns the same field with another approach length."""
 
 
+@runtime_checkable
+class MotionField(Field, Protocol):
+    """The motion F(x, h) of robots that remember their heading h; of dimension 2d.
+
+    Its first d values are m(x, h), of no unit; the others turn the heading, per unit of
+    length.
+    """
+
+    @property
+    def memory_length(self) -> float:
+        """The distance over which a heading turns."""
+
+
+@runtime_checkable
+class SteerableField(Protocol):
+    """A field m(x, g) that takes an intended direction."""
+
+    @property
+    def dim(self) -> int:
+        """The dimension d of the space."""
+
+    def with_memory(self) -> MotionField:
+        """Returns the motion of robots whose intended direction is their own heading."""
+
+
 class PointField(Protocol):
     """What evaluates a field at one point at the least cost."""
 

@@ -179,19 +179,18 @@ class MemoryField:
         """The waypoints."""
         return self.field.cloud
 
-    def __call__(self, y: FloatArray, target: FloatArray | None = None) -> FloatArray:
-        """Returns F(y): (2d,) -> (2d,), or (n, 2d) -> (n, 2d).
+    @property
+    def memory_length(self) -> float:
+        """The distance over which a heading turns, in the user's unit."""
+        return self.field.memory_length
 
-        Args:
-            y: Place and heading.
-            target: What the headings turn to in place of the tangent, (d,) or (n, d).
-        """
+    def __call__(self, y: FloatArray) -> FloatArray:
+        """Returns F(y): (2d,) -> (2d,), or (n, 2d) -> (n, 2d)."""
         x, h = np.split(np.asarray(y, np.float64), 2, axis=-1)
         z, g, shape = self.field._inputs(x, h)
         S, N = self.field.strands(z, g)
         s, v = self.field._composed(z, S, N)
-        wished = self.field.composition.tangent(N) if target is None else target
-        turn = (wished - g) / self.field.memory_length
+        turn = (self.field.composition.tangent(N) - g) / self.memory_length
         return np.concatenate([s + v, turn], axis=1).reshape(*shape[:-1], self.dim)
 
     def value_and_jacobian(self, y: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -226,7 +225,7 @@ class MemoryField:
         m, dm = self.field._composed_and_jacobian(z, S, dS, N, dN)
         v, by_network = self.field.composition.tangent_and_partial(N)
         dv = by_network @ dN
-        d, length = self.field.dim, self.field.memory_length
+        d, length = self.field.dim, self.memory_length
         dv[:, :, d:] -= np.eye(d)
         F = np.concatenate([m, (v - g) / length], axis=1)
         J = np.concatenate([dm, dv / length], axis=1)

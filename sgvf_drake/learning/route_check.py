@@ -17,7 +17,7 @@ from sgvf_drake.learning.self_check import (
     SelfCheck,
 )
 from sgvf_drake.paths.itinerary import Itinerary, successors
-from sgvf_drake.paths.navigator import Navigator, NavigatorState
+from sgvf_drake.paths.navigator import Navigator
 
 STARTS_AROUND = 4
 """Starts around each edge, headed by chance, which have to come to a path."""
@@ -90,10 +90,7 @@ def _drive(field: DirectedField, runs: list[_Run]) -> list[FloatArray | None]:
     lines = [run.navigator.itinerary.line for run in runs]
     begins = np.array([run.begin for run in runs])
     x = np.concatenate([line.at(s) for line, s in zip(lines, begins[:, None], strict=True)])
-    states = [
-        NavigatorState(run.navigator.section_at(s), s)
-        for run, s in zip(runs, begins[:, None], strict=True)
-    ]
+    states = [run.navigator.at(s) for run, s in zip(runs, begins[:, None], strict=True)]
     h = np.concatenate(
         [run.navigator.direction(s) for run, s in zip(runs, states, strict=True)]
     )
@@ -140,7 +137,10 @@ def _moved(
 
     def derivative(_: float, y: FloatArray) -> FloatArray:
         y = y.reshape(len(x), -1)
-        return motion(y, target).ravel()
+        F = motion(y)
+        if target is not None:
+            F[:, field.dim :] = (target - y[:, field.dim :]) / motion.memory_length
+        return F.ravel()
 
     y = np.concatenate([x, h], axis=1)
     tolerance = TOLERANCE * np.repeat([field.cloud.unit_length, 1.0], field.dim)

@@ -4,6 +4,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from sgvf_drake.arrays import FloatArray, IntArray
 from sgvf_drake.paths.itinerary import Itinerary
@@ -15,11 +16,12 @@ SAMPLING = 0.25
 BEHIND, AHEAD = 1.0, 6.0
 """An agent is looked for from this far behind its last place to this far ahead, in sigma."""
 
-TIE = 0.5
+TIE = 1.5
 """Strands this much farther than the nearest one, in sigma, are told apart by the heading."""
 
-FIRST = 1e-3
-"""Strands this much farther, in sigma, are as near: the first one is taken."""
+FIRST = SAMPLING
+"""Of strands that differ by less, in sigma, as those of an edge that is travelled twice, the
+first one is taken."""
 
 
 class NavigatorState(NamedTuple):
@@ -29,10 +31,12 @@ class NavigatorState(NamedTuple):
         section: (n,) the section, which laps count on; the one behind the last, of an open
             itinerary, says that it is completed.
         arc: (n,) the arc length, which laps count on.
+        begin: (n,) the arc length at which they started.
     """
 
     section: IntArray
     arc: FloatArray
+    begin: FloatArray
 
 
 class Navigator:
@@ -46,17 +50,23 @@ class Navigator:
         itinerary: The itinerary.
         sigma: The scale of the field, in the unit of the itinerary.
         kappa: That of the field.
+        lag: How far an agent moves until its heading has followed; see `sections`.
         step: How far an agent moves at most between two calls.
 
     Raises:
-        ConfigurationError: If sigma or kappa is not positive.
+        ConfigurationError: If sigma or kappa is not positive, or the lag negative.
     """
 
     def __init__(
-        self, itinerary: Itinerary, sigma: float, kappa: float = KAPPA, step: float = 0.0
+        self,
+        itinerary: Itinerary,
+        sigma: float,
+        kappa: float = KAPPA,
+        lag: float | None = None,
+        step: float = 0.0,
     ) -> None:
         self.itinerary = itinerary
-        self.sections: tuple[Section, ...] = sections(itinerary, sigma, kappa)
+        self.sections: tuple[Section, ...] = sections(itinerary, sigma, kappa, lag)
         self._sigma, self._closed = sigma, itinerary.closed
         self._length, self._lost = itinerary.length, itinerary.network.unit_length
         self._sample(max(math.ceil(self._length / (SAMPLING * sigma)), 4))
@@ -81,10 +91,15 @@ class Navigator:
         if h is not None:
             near = distance <= distance.min(axis=1, keepdims=True) + TIE
             # It outweighs what the distances of near strands differ by.
-            along = 4 * TIE * (h @ self._tangents.T)
+            along = 2 * TIE * (h @ self._tangents.T)
             cost = np.where(near, cost - along, np.inf)
         arc = self._refined(x, np.argmin(cost, axis=1))
-        return NavigatorState(self.section_at(arc), arc)
+        arc = arc % self._length if self._closed else np.clip(arc, 0, self._length)
+        return NavigatorState(self._section_at(arc), arc, arc.copy())
+
+    def at(self, arc: FloatArray) -> NavigatorState:
+        """Returns the state of agents at arc lengths (n,) of the itinerary."""
+        return NavigatorState(self._section_at(arc), arc, arc.copy())
 
     def advance(self, state: NavigatorState, x: FloatArray) -> NavigatorState:
         """Returns the state of agents that have moved on to `x` (n, d).
@@ -100,16 +115,17 @@ class Navigator:
         sample = (lower / self._spacing).astype(np.intp)[:, None] + self._window
         offset = x[:, None] - self._points[self._wrapped(sample)]
         squared = np.einsum("nkd,nkd->nk", offset, offset)
-        squared[sample * self._spacing > upper[:, None] + self._spacing] = np.inf
+        squared[sample > (upper / self._spacing)[:, None] + 1] = np.inf
         rows = np.arange(len(x))
         best = np.argmin(squared, axis=1)
-        arc = np.clip(self._refined(x, sample[rows, best]), lower, upper)
-        section = np.maximum(state.section, self.section_at(arc))
+        arc = self._refined(x, sample[rows, best])
+        arc = np.minimum(np.maximum(arc, lower), upper)
+        section = np.maximum(state.section, self._section_at(arc))
         lost = squared[rows, best] > self._lost**2
         if lost.any():
             arc[lost] = self._anew(x[lost], state.arc[lost])
-            section[lost] = self.section_at(arc[lost])
-        return NavigatorState(section, arc)
+            section[lost] = self._section_at(arc[lost])
+        return NavigatorState(section, arc, state.begin)
 
     def direction(self, state: NavigatorState) -> FloatArray:
         """The intended directions (n, d); zero where an open itinerary is completed."""
@@ -118,7 +134,10 @@ class Navigator:
         return self._directions[state.section]
 
     def completed(self, state: NavigatorState) -> IntArray:
-        """The laps (n,) that are made; 1 where an open itinerary is completed."""
+        """The laps (n,) since the start; 1 where an open itinerary is completed."""
+        if self._closed:
+            laps = ((state.arc - state.begin) / self._length).astype(np.intp)
+            return np.maximum(laps, 0)
         return state.section // len(self.sections)
 
     def _sample(self, count: int) -> None:
@@ -172,17 +191,17 @@ class Navigator:
 
     def _distances(self, x: FloatArray) -> FloatArray:
         """The distances (n, N) of agents from all samples, in sigma."""
-        return np.linalg.norm(x[:, None] - self._points, axis=2) / self._sigma
+        return cdist(x, self._points) / self._sigma
 
     def _refined(self, x: FloatArray, sample: IntArray) -> FloatArray:
         """The arc lengths of the feet (n,) of agents on the tangents at samples."""
         on_line = self._wrapped(sample)
         offset = x - self._points[on_line]
-        ahead = np.einsum("nd,nd->n", offset, self._tangents[on_line])
+        ahead = (offset * self._tangents[on_line]).sum(axis=1)
         half = self._spacing / 2
-        return sample * self._spacing + np.clip(ahead, -half, half)
+        return sample * self._spacing + np.minimum(np.maximum(ahead, -half), half)
 
-    def section_at(self, arc: FloatArray) -> IntArray:
+    def _section_at(self, arc: FloatArray) -> IntArray:
         """The section (n,) that begins at or before an arc length."""
         if not self._closed:
             return np.searchsorted(self._guards, arc, side="right")
@@ -200,7 +219,7 @@ class Navigator:
             ahead = (ahead + self._lost) % self._length - self._lost
         cost = self._distances(x) + FIRST / self._length * ahead
         best = np.argmin(np.where(ahead >= -self._lost, cost, np.inf), axis=1)
-        moved = ahead[np.arange(len(x)), best]
+        moved = ahead[np.arange(len(x)), best] + self._refined(x, best) - self._arcs[best]
         if self._closed:
             moved = np.where(moved > self._length / 2, moved - self._length, moved)
         return arc + moved

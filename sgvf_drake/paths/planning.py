@@ -29,7 +29,12 @@ Half = tuple[int, int, int]
 """An edge, from 0, which time it is travelled, and its side."""
 
 
-def shortest(network: PathNetwork, start: ArrayLike, target: ArrayLike) -> Itinerary:
+def shortest(
+    network: PathNetwork,
+    start: ArrayLike,
+    target: ArrayLike,
+    heading: ArrayLike | None = None,
+) -> Itinerary:
     """Returns the shortest itinerary from one point to another, between their nearest points.
 
     It turns round at ends only, and travels one-way paths forwards.
@@ -38,12 +43,16 @@ def shortest(network: PathNetwork, start: ArrayLike, target: ArrayLike) -> Itine
         network: The network.
         start: (d,) where it starts.
         target: (d,) where it ends.
+        heading: (d,) which way it starts on an edge that is travelled either way; by default
+            the shorter way.
 
     Raises:
         ConfigurationError: If a point cannot be used, or the target cannot be reached.
     """
     begin, end = _foot(network, start), _foot(network, target)
     graph = _states(network, begin, end)
+    if heading is not None:
+        graph.remove_nodes_from([("from", _against(network, begin, heading))])
     try:
         states = nx.dijkstra_path(graph, "start", "target")[1:-1]
     except nx.NetworkXNoPath:
@@ -101,12 +110,28 @@ def _foot(
     network: PathNetwork, point: ArrayLike, edges: list[int] | None = None
 ) -> tuple[int, float]:
     """The edge, from 0, and the arc length on it, nearest to a point."""
-    x = np.asarray(point, dtype=np.float64)
-    if x.shape != (network.dim,) or not np.isfinite(x).all():
-        raise ConfigurationError(f"{_named(point)} is no point in {network.dim} dimensions")
+    x = _checked(network, point, "point")
     own = list(range(len(network.edges))) if edges is None else edges
     found = ReferencePath(tuple(network.edges[k].line for k in own)).project(x[None])
     return own[int(found.piece[0])], float(found.arc[0])
+
+
+def _against(network: PathNetwork, foot: tuple[int, float], heading: ArrayLike) -> int:
+    """The edge of a foot travelled against a heading; 0, which is none, if it is one-way."""
+    edge, arc = foot
+    if network.is_one_way(network.edges[edge].piece):
+        return 0
+    around = np.clip([arc - network.sigma, arc + network.sigma], 0, network.edges[edge].length)
+    before, after = network.edges[edge].line.at(around)
+    h = _checked(network, heading, "heading")
+    return -(edge + 1) if h @ (after - before) > 0 else edge + 1
+
+
+def _checked(network: PathNetwork, point: ArrayLike, name: str) -> FloatArray:
+    x = np.asarray(point, dtype=np.float64)
+    if x.shape != (network.dim,) or not np.isfinite(x).all():
+        raise ConfigurationError(f"{_named(point)} is no {name} in {network.dim} dimensions")
+    return x
 
 
 def _along(network: PathNetwork, number: int, foot: tuple[int, float]) -> float:

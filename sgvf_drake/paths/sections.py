@@ -30,9 +30,6 @@ EXIT = 3.5
 MARGIN = 0.88
 """Of the distance from a node at which the exit takes over, what is used."""
 
-LAG = 1.0
-"""An agent's heading follows g after this many sigma."""
-
 END = 1.5
 """An end is reached this many sigma before it, for agents come to rest before it."""
 
@@ -79,7 +76,9 @@ class _Passage:
     out: float
 
 
-def sections(itinerary: Itinerary, sigma: float, kappa: float = KAPPA) -> tuple[Section, ...]:
+def sections(
+    itinerary: Itinerary, sigma: float, kappa: float = KAPPA, lag: float | None = None
+) -> tuple[Section, ...]:
     """Cuts an itinerary into sections.
 
     About a node g is the direction of the exit.  Between nodes it is that of the chords
@@ -90,15 +89,20 @@ def sections(itinerary: Itinerary, sigma: float, kappa: float = KAPPA) -> tuple[
         itinerary: The itinerary.
         sigma: The scale of the field, in the unit of the itinerary.
         kappa: That of the field.
+        lag: The distance after which an agent's heading has followed g; sigma by default, for
+            a heading that is remembered as long, and 0 where g itself is the heading.
 
     Raises:
-        ConfigurationError: If sigma or kappa is not positive.
+        ConfigurationError: If sigma or kappa is not positive, or the lag negative.
     """
+    lag = sigma if lag is None else lag
+    if not 0 <= lag < math.inf:
+        raise ConfigurationError(f"the lag must be finite and not negative, not {lag}")
     for name, value in (("sigma", sigma), ("kappa", kappa)):
         if not 0 < value < math.inf:
             raise ConfigurationError(f"{name} must be positive and finite, not {value}")
     ends = np.append(itinerary.starts[1:], itinerary.length)
-    passages = [_passage(itinerary, k, sigma, kappa) for k in range(len(ends))]
+    passages = [_passage(itinerary, k, sigma, kappa, lag) for k in range(len(ends))]
     found: list[Section] = []
     for k, (begin, end) in enumerate(zip(itinerary.starts, ends, strict=True)):
         before = passages[k - 1] if k or itinerary.closed else None
@@ -141,7 +145,9 @@ def _on_edge(
     return found
 
 
-def _passage(itinerary: Itinerary, k: int, sigma: float, kappa: float) -> _Passage | None:
+def _passage(
+    itinerary: Itinerary, k: int, sigma: float, kappa: float, lag: float
+) -> _Passage | None:
     """How the node at the end of the `k`-th edge is passed; None if no edge follows."""
     node, last = itinerary.nodes[k], k + 1 == len(itinerary.edges)
     if node is None or (last and not itinerary.closed):
@@ -158,7 +164,7 @@ def _passage(itinerary: Itinerary, k: int, sigma: float, kappa: float) -> _Passa
     if is_end(itinerary, node):
         lead = END * sigma
     else:
-        lead = (MARGIN * _takeover(straight, kappa) + LAG) * sigma
+        lead = MARGIN * _takeover(straight, kappa) * sigma + lag
     return _Passage(direction, turns, lead, EXIT * sigma)
 
 
