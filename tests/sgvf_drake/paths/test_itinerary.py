@@ -218,6 +218,12 @@ def test_one_way_paths_are_travelled_forwards():
         start, target = line.at(np.array([a, b]))
         itinerary = shortest(eight, start, target, heading=-start)
         assert itinerary.length == pytest.approx((b - a) % line.length, rel=1e-3)
+    # Over the place where a closed line begins, too.
+    circle = found("circle")
+    start, target = circle.path.pieces[0].at(np.array([20.0, 10.0]))
+    around = shortest(circle, start, target)
+    assert (around.edges, around.nodes) == ((1, 1), (None, None))
+    assert around.length == pytest.approx(circle.length - 10)
     spiral = found("spiral")
     start, target = spiral.routes[0].line.at(np.array([20.0, 10.0]))
     with pytest.raises(

@@ -92,6 +92,31 @@ def test_sections_of_tours_over_random_networks(seed, size, extra):
         np.testing.assert_allclose(after.direction, tangent, atol=1e-6)
 
 
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10**6), st.integers(4, 9), st.integers(0, 6))
+def test_short_and_cut_itineraries_are_completed(seed, size, extra):
+    """Also those that end within sigma, or within the turn at a node."""
+    network = random_network(seed, size, extra)
+    rng = np.random.default_rng(seed)
+    edge = network.edges[rng.integers(len(network.edges))].line
+    if rng.uniform() < 0.5:
+        a, b = rng.uniform(0, edge.length, 2)
+        start, target = edge.at(np.array([a, a + min(b, edge.length - a) / 20]))
+    else:
+        start, target = rng.uniform(0, 8, (2, 2))
+    itinerary = shortest(network, start, target)
+    sigma = SIGMA * network.unit_length
+    _, end = check_sections(itinerary, sigma)
+    at_end = itinerary.nodes[-1] is not None and network.nodes[itinerary.nodes[-1]].degree == 1
+    stop = max(itinerary.length - 1.5 * sigma, itinerary.length / 2)
+    assert end == pytest.approx(stop if at_end else itinerary.length)
+    navigator = Navigator(itinerary, sigma)
+    state = navigator.start(itinerary.line.at(np.zeros(1)))
+    for arc in np.linspace(0, itinerary.length, 2 + int(itinerary.length / (0.2 * sigma))):
+        state = navigator.advance(state, itinerary.line.at(np.array([arc])))
+    assert navigator.completed(state) == 1
+
+
 @pytest.mark.parametrize("degrees", [90, 120, 135, 150, 165])
 @pytest.mark.parametrize("kappa", [2.0, 4.0])
 def test_the_exit_is_told_where_it_attracts_more(degrees, kappa):
