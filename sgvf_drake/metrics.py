@@ -91,6 +91,18 @@ class FollowMetrics:
     open: BoolArray
     samples: IntArray
 
+    @property
+    def followed(self) -> BoolArray:
+        """Who did what the field is for: a lap, or the way to the end."""
+        return np.asarray(self.lapped | self.ended)
+
+    @property
+    def aim(self) -> str:
+        """What that is on the pieces on which the agents are in the end, in words."""
+        if self.open.all():
+            return "come to rest at the end"
+        return "complete a lap" + (" or come to rest at the end" if self.open.any() else "")
+
     def summary(self) -> dict[str, float | None]:
         """Returns the fractions of agents, and the errors over the settled ones.
 
@@ -163,7 +175,10 @@ def follow_metrics(
     tails = _tails(positions, unit_length, reference)
     settled, lapped, begin = _last_laps(times, positions, unit_length, reference, speed, tails)
     near_end, reach, arrival = _arrivals(positions, unit_length, terminal, tails)
-    ended = near_end & _still(times, positions, unit_length, speed, REST_WINDOW, REST_SPAN)
+    second = unit_length / speed
+    ended = near_end & spans_less(
+        times, positions, REST_WINDOW * second, REST_SPAN * unit_length
+    )
     begin = np.where(ended, reach, begin)
     until = np.where(ended, arrival, len(times) - 1)
     settled |= ended
@@ -175,7 +190,8 @@ def follow_metrics(
         settled=settled,
         lapped=lapped,
         ended=ended,
-        stalled=_still(times, positions, unit_length, speed, STALL_WINDOW, STALL_SPAN) & ~ended,
+        stalled=~ended
+        & spans_less(times, positions, STALL_WINDOW * second, STALL_SPAN * unit_length),
         left=np.asarray(outside.any(axis=(0, 2))),
         rms=rms,
         maximum=maximum,
@@ -364,20 +380,24 @@ def _errors(
     return np.where(settled, rms, np.nan), np.where(settled, maximum, np.nan), samples
 
 
-def _still(
-    times: FloatArray,
-    positions: FloatArray,
-    unit_length: float,
-    speed: float,
-    window: float,
-    span: float,
+def spans_less(
+    times: FloatArray, positions: FloatArray, window: float, span: float
 ) -> BoolArray:
-    """Returns who spans less than `span` U over the last `window` U of time at the speed."""
-    start = int(_window_start(times, window * unit_length / speed))
+    """Returns who (n,) spans less than `span` over the last `window` of time.
+
+    Nobody does in a run that is shorter.
+
+    Args:
+        times: (T,) increasing.
+        positions: (T, n, d).
+        window: In the unit of the times.
+        span: In the unit of the positions.
+    """
+    start = int(_window_start(times, window))
     if start < 0:
         return np.zeros(positions.shape[1], dtype=bool)
     extent = np.ptp(positions[start:], axis=0)
-    return np.asarray(np.linalg.norm(extent, axis=1) < span * unit_length)
+    return np.asarray(np.linalg.norm(extent, axis=1) < span)
 
 
 def _fraction(condition: BoolArray) -> float | None:

@@ -36,6 +36,7 @@ from systems.moving_scene import (
     FlightTrail,
     QuadrotorGeometry,
 )
+from systems.navigation import RouteNavigator, RouteNavigator_
 from systems.quadrotor import QuadrotorParameters
 from systems.scene_drawing import DrawField, DrawTube, DrawWaypoints
 from systems.se3_law import Body, Gains
@@ -97,6 +98,8 @@ __all__ = [
     "MotionCapture",
     "QuadrotorGeometry",
     "QuadrotorParameters",
+    "RouteNavigator",
+    "RouteNavigator_",
     "SaveRecording",
     "Se3Controller",
     "Se3Controller_",

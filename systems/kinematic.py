@@ -17,7 +17,9 @@ from pydrake.systems.scalar_conversion import TemplateSystem
 
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
 from sgvf_drake.fields.base import Field, MotionField
+from sgvf_drake.paths.navigator import Navigator
 from systems.lyapunov_monitor import AddLyapunovMonitor, DifferentiableFunction
+from systems.navigation import RouteNavigator
 from systems.scalars import (
     SCALARS,
     CheckFiniteAgents,
@@ -27,6 +29,9 @@ from systems.scalars import (
     Scalar,
     remembered,
 )
+
+DEFAULT_NAVIGATION_PERIOD = 0.01
+"""s; at unit speed and a noise level of a tenth, agents are looked at ten times in it."""
 
 
 @TemplateSystem.define("KinematicGuidance_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
@@ -76,7 +81,7 @@ def KinematicGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
             if num_agents < 1:
                 raise ConfigurationError(f"num_agents must be at least 1, got {num_agents}")
             CheckNonNegativeParameter("speed", speed)
-            self._field = field
+            self._field: Any = field
             # One agent is asked for as a point: a field may be faster without a batch.
             self._shape = (field.dim,) if num_agents == 1 else (num_agents, field.dim)
             size = num_agents * field.dim
@@ -146,6 +151,8 @@ def MakeKinematicDiagram(
     *,
     lyapunov: DifferentiableFunction | None = None,
     level: float = math.inf,
+    navigator: Navigator | None = None,
+    navigation_period: float = DEFAULT_NAVIGATION_PERIOD,
 ) -> Diagram:
     """Returns a diagram of n agents with dp/dt = speed m(p) (paper, equation 3).
 
@@ -162,6 +169,9 @@ def MakeKinematicDiagram(
             of "V_log" and "V_dot_log"; 0 logs every step, and None leaves the logs out.
         lyapunov: A Lyapunov function V of dimension d; None: there is no monitor.
         level: Of the sublevel set of V that is watched.
+        navigator: With the motion of a directed field: what tells the agents where to go, by a
+            `RouteNavigator` "navigator"; None: they go straight on.
+        navigation_period: Of that system, in s.
 
     Raises:
         ConfigurationError: if an argument cannot be used.
@@ -172,6 +182,17 @@ def MakeKinematicDiagram(
     builder.Connect(agents.get_output_port(), guidance.GetInputPort("positions"))
     builder.Connect(guidance.GetOutputPort("velocities"), agents.get_input_port())
     builder.ExportOutput(agents.get_output_port(), "positions")
+    if navigator is not None:
+        if not isinstance(field, MotionField):
+            raise ConfigurationError("only the motion of a directed field is navigated")
+        route = builder.AddNamedSystem(
+            "navigator", RouteNavigator(navigator, num_agents, navigation_period)
+        )
+        builder.Connect(agents.get_output_port(), route.GetInputPort("positions"))
+        builder.Connect(
+            route.GetOutputPort("intended_directions"),
+            guidance.GetInputPort("intended_directions"),
+        )
     if log_period is not None:
         LogVectorOutput(agents.get_output_port(), builder, log_period).set_name("positions_log")
     if lyapunov is not None:

@@ -39,11 +39,11 @@ def verify(
     overwrite: Overwrite = False,
 ) -> None:
     """Check by sampling where V decreases along a field, and name what speaks against it."""
-    from sgvf_drake.experiments import choose_reference, open_field, run_verify
+    from sgvf_drake.experiments import choose_reference, open_guiding_field, run_verify
 
     if starts < 1:
         raise ConfigurationError(f"the number of starts must be at least 1, not {starts}")
-    loaded = open_field(field)
+    loaded = open_guiding_field(field)
     chosen = columns_of(columns, reference, "--reference")
     path, kind = choose_reference(loaded, reference, chosen)
     print_messages(path.messages)
@@ -135,9 +135,14 @@ def certify(
 ) -> None:
     """Prove that robots follow a field along its path; exit 1 where that is not proved."""
     from sgvf_drake.certificate import Certificate
-    from sgvf_drake.experiments import as_flown, choose_reference, open_field, run_certify
+    from sgvf_drake.experiments import (
+        as_flown,
+        choose_reference,
+        open_guiding_field,
+        run_certify,
+    )
 
-    loaded = open_field(field)
+    loaded = open_guiding_field(field)
     if speed is not None:
         loaded = as_flown(loaded, speed, scale)
     path = choose_reference(loaded, reference, columns_of(columns, reference, "--reference"))
@@ -200,9 +205,9 @@ def singularities(
     overwrite: Overwrite = False,
 ) -> None:
     """Find all zeros of a planar field, its score and its tangent, and where they lie."""
-    from sgvf_drake.experiments import choose_reference, open_field, run_singularities
+    from sgvf_drake.experiments import choose_reference, open_guiding_field, run_singularities
 
-    loaded = open_field(field)
+    loaded = open_guiding_field(field)
     chosen = choose_reference(loaded, reference, columns_of(columns, reference, "--reference"))
     print_messages(chosen[0].messages)
     summary = run_singularities(loaded, chosen, out, prove=prove, overwrite=overwrite)

@@ -33,21 +33,52 @@ SINGLE_PRECISION, SHARP = 2.0**-23, 0.01
 def follow(
     field: FieldPath,
     out: Out,
-    starts: Annotated[int, typer.Option(help="Agents, on a grid over the box.")] = 400,
+    starts: Annotated[
+        int | None,
+        typer.Option(
+            help="Agents, on a grid over the box  \\[default: 400; of a directed field 100]."
+        ),
+    ] = None,
     reference: ReferenceFile = None,
     columns: ReferenceColumns = None,
     duration: Annotated[
         float | None, typer.Option(help="Seconds at unit speed  \\[default: 1.5 laps + 15 U].")
     ] = None,
+    route: Annotated[
+        str | None,
+        typer.Option(
+            help="Edges to run along, as 1,2,-3, where paths cross or branch; - is backwards  "
+            "\\[default: straight on]."
+        ),
+    ] = None,
+    seed: Annotated[
+        int, typer.Option(help="Of the headings at the start, where paths cross or branch.")
+    ] = 0,
     overwrite: Overwrite = False,
 ) -> None:
     """Follow a field with many kinematic agents from a grid of starts."""
     from sgvf_drake.experiments import choose_reference, open_field, run_follow
+    from sgvf_drake.fields import DirectedField
 
     loaded = open_field(field)
-    chosen = choose_reference(loaded, reference, columns_of(columns, reference, "--reference"))
-    print_messages(chosen[0].messages)
-    options: dict[str, Any] = {"starts": starts, "duration": duration, "overwrite": overwrite}
+    chosen = None
+    names = columns_of(columns, reference, "--reference")
+    if isinstance(loaded, DirectedField):
+        if reference is not None:
+            raise ConfigurationError(
+                f"--reference {reference}: a field of paths that cross or branch is measured "
+                "against its own network"
+            )
+    else:
+        chosen = choose_reference(loaded, reference, names)
+        print_messages(chosen[0].messages)
+    options: dict[str, Any] = {
+        "starts": starts,
+        "duration": duration,
+        "route": route,
+        "seed": seed,
+        "overwrite": overwrite,
+    }
     with progress() as report:
         summary = run_follow(loaded, chosen, out, **options, progress=report)
     print_following(summary)

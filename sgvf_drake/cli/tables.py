@@ -39,6 +39,8 @@ def print_training(summary: Mapping[str, Any]) -> None:
 
 def _pieces(pieces: Sequence[Mapping[str, Any]]) -> str:
     """Returns how many pieces of each kind there are: "1 open, 1 closed"."""
+    if any("is" in piece for piece in pieces):
+        return "; ".join(piece["is"] for piece in pieces)
     num_closed = sum(piece["closed"] for piece in pieces)
     counts = {"open": len(pieces) - num_closed, "closed": num_closed}
     return ", ".join(f"{count} {kind}" for kind, count in counts.items() if count)
@@ -87,7 +89,8 @@ def print_following(summary: Mapping[str, Any]) -> None:
     """Prints the summary of following."""
     U = summary["unit_length"]
     # No fraction of laps where every piece is open, none of ends where every one is closed.
-    aims = {name: summary[f"{name}_fraction"] for name in ("reach", "lap", "end")}
+    names = ("reach", "lap", "end", "straight", "turn")
+    aims = {name: summary.get(f"{name}_fraction") for name in names}
     aims = {name: value for name, value in aims.items() if value is not None}
     rows = {
         "starts": str(summary["starts"]),

@@ -13,11 +13,12 @@ from sgvf_drake.experiments.figures.tracking import tracking_figure
 from sgvf_drake.experiments.figures.verification import theorem_figure, verification_figure
 from sgvf_drake.experiments.flight import FlightSpec, check_feasibility, flight_log, simulate
 from sgvf_drake.experiments.fly import FlightResult, fly
-from sgvf_drake.experiments.follow import FollowResult, follow
+from sgvf_drake.experiments.follow import FollowResult, follow, follow_network
 from sgvf_drake.experiments.importing import run_import
 from sgvf_drake.experiments.reference import choose_reference
 from sgvf_drake.experiments.runs import (
     open_field,
+    open_guiding_field,
     run_demo,
     run_fly,
     run_follow,
@@ -55,8 +56,10 @@ __all__ = [
     "fly",
     "fly_tour",
     "follow",
+    "follow_network",
     "log_density_figure",
     "open_field",
+    "open_guiding_field",
     "run_certify",
     "run_demo",
     "run_fly",

@@ -18,7 +18,7 @@ import numpy as np
 
 from sgvf_drake import plotting
 from sgvf_drake.exceptions import ConfigurationError, OutputExistsError
-from sgvf_drake.fields import GuidingField
+from sgvf_drake.fields import ScoreInducedField
 
 SUMMARY = "summary.json"
 # Inside of a hidden folder: held by the process that works in it, for as long as it lives.
@@ -143,7 +143,7 @@ def save_figure(figure: Figure, path: Path) -> None:
     figure.savefig(path, dpi=plotting.DPI)
 
 
-def origin(field: GuidingField) -> dict[str, Any]:
+def origin(field: ScoreInducedField) -> dict[str, Any]:
     """Returns what a field comes from, by the names of `summary.json`."""
     return {"recipe": field.recipe, "seed": field.seed, "digest": field.cloud.digest}
 

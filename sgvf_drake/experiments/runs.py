@@ -9,12 +9,13 @@ from typing import Any
 import pandas as pd
 
 from sgvf_drake.clouds import PointCloud
+from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments.certified import CERTIFICATE_FIGURE, CertifiedField
 from sgvf_drake.experiments.figures import runs as figures
 from sgvf_drake.experiments.figures.certificate import certificate_figure
 from sgvf_drake.experiments.flight import FlightSpec
 from sgvf_drake.experiments.fly import fly
-from sgvf_drake.experiments.follow import follow
+from sgvf_drake.experiments.follow import follow, follow_network
 from sgvf_drake.experiments.reference import choose_reference
 from sgvf_drake.experiments.results import (
     SUMMARY,
@@ -26,9 +27,10 @@ from sgvf_drake.experiments.results import (
 from sgvf_drake.experiments.scene import NO_VIEW, View
 from sgvf_drake.experiments.tour import fly_tour
 from sgvf_drake.experiments.velocity_error import flight_margin, margin_summary
-from sgvf_drake.fields import GuidingField, load_field
+from sgvf_drake.fields import DirectedField, GuidingField, load_field, load_guiding_field
 from sgvf_drake.learning.recipes import RECIPES
 from sgvf_drake.paths import PathNetwork, ReferencePath, make_shape
+from sgvf_drake.paths.itinerary import Itinerary
 from sgvf_drake.progress import Progress, no_progress
 from systems import FieldForSpeed
 
@@ -43,14 +45,28 @@ DEMO_FILES = (SUMMARY, "waypoints.csv", "train", "follow", "fly")
 Folder = str | PathLike[str]
 
 
-def open_field(path: Folder) -> GuidingField:
+def open_field(path: Folder) -> GuidingField | DirectedField:
     """Loads a field from its file, or from the folder of its training.
 
     Raises:
         FieldFileError: If there is no field, or if it is damaged or foreign.
     """
+    return load_field(_field_file(path))
+
+
+def open_guiding_field(path: Folder) -> GuidingField:
+    """Loads a field of the position alone; see `open_field`.
+
+    Raises:
+        FieldFileError: As `open_field`.
+        ConfigurationError: If the field is a directed one.
+    """
+    return load_guiding_field(_field_file(path))
+
+
+def _field_file(path: Folder) -> Path:
     path = Path(path)
-    return load_field(path / FIELD_FILE if path.is_dir() else path)
+    return path / FIELD_FILE if path.is_dir() else path
 
 
 def run_train(
@@ -102,15 +118,10 @@ def _path_summary(result: Any, config: Any) -> dict[str, Any]:
     support, network = result.support, result.network
     unit = network.unit_length
     cleans = RECIPES[result.field.recipe].uses_paths
+    directed = isinstance(result.field, DirectedField)
     return {
-        "pieces": [
-            {
-                "points": count,
-                "closed": line.closed,
-                "length": line.length * unit,
-            }
-            for line, count in zip(support.path.pieces, support.counts, strict=True)
-        ],
+        "directed": directed,
+        "pieces": _edges_by_piece(support, network) if directed else _lines(support, unit),
         "ends": result.field.ends,
         "open": config.open,
         "direction": config.direction,
@@ -121,27 +132,87 @@ def _path_summary(result: Any, config: Any) -> dict[str, Any]:
         "noise": network.scatter,
         "gap": support.gap * unit,
         "dropped": network.dropped if cleans else 0,
-        "resampled": support.resampled and cleans,
+        "resampled": cleans and (directed or support.resampled),
     }
 
 
+def _lines(support: Any, unit: float) -> list[dict[str, Any]]:
+    """The lines that a field of the position alone was learned from."""
+    return [
+        {"points": count, "closed": line.closed, "length": line.length * unit}
+        for line, count in zip(support.path.pieces, support.counts, strict=True)
+    ]
+
+
+def _edges_by_piece(support: Any, network: PathNetwork) -> list[dict[str, Any]]:
+    """The pieces of the network that a directed field was learned from."""
+    pieces = []
+    for piece in range(network.num_pieces):
+        own = [k for k, edge in enumerate(network.edges) if edge.piece == piece]
+        pieces.append(
+            {
+                "points": sum(support.counts[k] for k in own),
+                "closed": network.kind(piece) == "closed path",
+                "length": sum(network.edges[k].length for k in own),
+                "is": network.describe(piece),
+            }
+        )
+    return pieces
+
+
 def run_follow(
-    field: GuidingField,
+    field: GuidingField | DirectedField,
     reference: tuple[ReferencePath, str] | None,
     out: Folder,
     *,
-    starts: int = 400,
+    starts: int | None = None,
     duration: float | None = None,
+    route: str | None = None,
+    seed: int = 0,
     overwrite: bool = False,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
-    """Follows a field as `follow` does; leaves trajectories, a figure, the summary."""
-    path, kind = reference or choose_reference(field)
+    """Follows a field as `follow` or `follow_network` does; leaves trajectories and a figure.
+
+    Args:
+        field: The field.
+        reference: What a field of the position alone is measured against.
+        out: The folder.
+        starts: Agents; None: 400, or 100 of a directed field.
+        duration: Seconds at unit speed; None: enough.
+        route: Of a directed field: edges, as "1,2,-3"; None: straight on.
+        seed: Of the headings with a directed field.
+        overwrite: Whether results there are replaced.
+        progress: Is told how far the simulation is.
+
+    Raises:
+        ConfigurationError: If an option does not fit the field.
+    """
+    followed: dict[str, Any] = {"duration": duration, "progress": progress}
+    if starts is not None:
+        followed["starts"] = starts
+    if isinstance(field, DirectedField):
+        if reference is not None:
+            raise ConfigurationError(
+                "a directed field is measured against its own network, not a reference"
+            )
+        kind, path = "network", None
+        followed |= {"seed": seed}
+        if route is not None:
+            followed["route"] = Itinerary.parse(route, field.network)
+    else:
+        if route is not None:
+            raise ConfigurationError("a route is for fields of paths that cross or branch")
+        path, kind = reference or choose_reference(field)
     with result_folder(out, FOLLOW_FILES, overwrite=overwrite) as folder:
-        result = follow(field, path, starts, duration, progress)
+        if isinstance(field, DirectedField):
+            result: Any = follow_network(field, **followed)
+        else:
+            assert path is not None
+            result = follow(field, path, **followed)
         figures.trajectory_table(result).to_parquet(folder / "trajectories.parquet")
         save_figure(figures.follow_figure(field, result), folder / "follow.png")
-        unit = {"unit_length": field.cloud.unit_length, "reference": kind}
+        unit = {"unit_length": field.cloud.unit_length, "reference": kind, "route": route}
         summary = {**result.summary(), **unit, **origin(field)}
         write_summary(folder, summary)
     return summary
@@ -230,7 +301,7 @@ def run_demo(
         waypoints = pd.DataFrame(cloud.points, columns=["x", "y"])
         waypoints.to_csv(folder / "waypoints.csv", index=False)
         train = run_train(cloud, TrainingConfig(), folder / "train", progress=progress)
-        field = open_field(folder / "train")
+        field = open_guiding_field(folder / "train")
         follow = run_follow(
             field, None, folder / "follow", starts=DEMO_STARTS, progress=progress
         )

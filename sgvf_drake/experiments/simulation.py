@@ -61,6 +61,7 @@ def simulate_agents(
     step: float,
     log_period: float,
     progress: Progress = no_progress,
+    **navigation: Any,
 ) -> tuple[FloatArray, FloatArray, float]:
     """Simulates kinematic agents that travel one U a second where |m| is one.
 
@@ -75,6 +76,7 @@ def simulate_agents(
         step: Of the integrator, U at full speed.
         log_period: Between two samples, U at full speed.
         progress: Is told how far the simulation is.
+        **navigation: `navigator` and `navigation_period` of `MakeKinematicDiagram`.
 
     Returns:
         The ways (T,) at full speed until each sample, U; the states (T, n, k); and the wall
@@ -83,7 +85,9 @@ def simulate_agents(
     Raises:
         NonFiniteValueError: If the field is not finite somewhere on the way.
     """
-    diagram = MakeKinematicDiagram(field, len(starts), speed=unit_length, log_period=log_period)
+    diagram = MakeKinematicDiagram(
+        field, len(starts), speed=unit_length, log_period=log_period, **navigation
+    )
     simulator = MakeSimulator(diagram, step=step)
     context = simulator.get_mutable_context()
     SetPositions(diagram, context, starts)

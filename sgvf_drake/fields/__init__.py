@@ -13,7 +13,7 @@ from sgvf_drake.fields.classical import (
     PursuitField,
 )
 from sgvf_drake.fields.compiled import CompiledField
-from sgvf_drake.fields.composed import ComposedField
+from sgvf_drake.fields.composed import ComposedField, ScoreInducedField
 from sgvf_drake.fields.composition import (
     PAPER_GAIN,
     Composition,
@@ -64,6 +64,7 @@ __all__ = [
     "PursuitField",
     "RobustComposition",
     "ScoreField",
+    "ScoreInducedField",
     "ScoreNetwork",
     "StrandMixture",
     "StrandNetwork",

@@ -151,9 +151,9 @@ class HeldField(AnalyticField):
 
 
 class MemoryField:
-    """The motion of robots that remember their heading: a field of y = (x, h).
+    """The motion of robots that remember their heading: a field of (x, h).
 
-    With speed times this as dy/dt, a robot moves along m(x, h), and its heading h turns to
+    With speed times this as d(x, h)/dt, a robot moves along m(x, h), and its heading h turns to
     the tangent of its strand over the distance `DirectedField.memory_length` l:
 
         F(x, h) = (m(x, h), (vhat(x, h) - h) / l).
@@ -184,27 +184,24 @@ class MemoryField:
         """The distance over which a heading turns, in the user's unit."""
         return self.field.memory_length
 
-    def __call__(self, y: FloatArray) -> FloatArray:
-        """Returns F(y): (2d,) -> (2d,), or (n, 2d) -> (n, 2d)."""
-        x, h = np.split(np.asarray(y, np.float64), 2, axis=-1)
-        z, g, shape = self.field._inputs(x, h)
+    def __call__(self, x: FloatArray) -> FloatArray:
+        """Returns F at x = (place, heading): (2d,) -> (2d,), or (n, 2d) -> (n, 2d)."""
+        z, g, shape = self._inputs(x)
         S, N = self.field.strands(z, g)
         s, v = self.field._composed(z, S, N)
         turn = (self.field.composition.tangent(N) - g) / self.memory_length
         return np.concatenate([s + v, turn], axis=1).reshape(*shape[:-1], self.dim)
 
-    def value_and_jacobian(self, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Returns F(y), and dF_i/dy_j of shape (2d, 2d) or (n, 2d, 2d)."""
-        x, h = np.split(np.asarray(y, np.float64), 2, axis=-1)
-        z, g, shape = self.field._inputs(x, h)
+    def value_and_jacobian(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Returns F, and dF_i/dx_j of shape (2d, 2d) or (n, 2d, 2d)."""
+        z, g, shape = self._inputs(x)
         F, J = self._jet(z, g)
         leading = (*shape[:-1], self.dim)
         return F.reshape(leading), J.reshape(*leading, self.dim)
 
-    def hessian(self, y: FloatArray) -> FloatArray:
-        """Returns d^2 F_i / dy_j dy_k, by a complex step; see `AnalyticField.hessian`."""
-        x, h = np.split(np.asarray(y, np.float64), 2, axis=-1)
-        z, g, shape = self.field._inputs(x, h)
+    def hessian(self, x: FloatArray) -> FloatArray:
+        """Returns d^2 F_i / dx_j dx_k, by a complex step; see `AnalyticField.hessian`."""
+        z, g, shape = self._inputs(x)
         d, unit = self.field.dim, self.field.cloud.unit_length
         steps = COMPLEX_STEP * 1j * np.eye(self.dim)
         columns = [self._jet(z + step[:d], g + step[d:])[1].imag for step in steps]
@@ -218,6 +215,10 @@ class MemoryField:
         from sgvf_drake.fields.compiled import CompiledMotion
 
         return CompiledMotion(self)
+
+    def _inputs(self, x: FloatArray) -> tuple[FloatArray, FloatArray, tuple[int, ...]]:
+        place, heading = np.split(np.asarray(x, np.float64), 2, axis=-1)
+        return self.field._inputs(place, heading)
 
     def _jet(self, z: FloatArray, g: FloatArray) -> tuple[FloatArray, FloatArray]:
         """F and its Jacobian by (x, h), at normalised points."""

@@ -33,12 +33,17 @@ class StrandSupport:
     Attributes:
         mixture: Points on the edges, with their directions.
         ends: (E, d) where robots come to rest.
-        edge: The number of the edge of each point, (M,).
+        counts: The number of points on each edge.
+        spacing: Mean distance of neighbouring waypoints along the paths.
+        gap: Smallest distance between strands that do not meet there; `WIDEST_GAP` where it
+            is more.
     """
 
     mixture: StrandMixture
     ends: FloatArray
-    edge: IntArray
+    counts: tuple[int, ...]
+    spacing: float
+    gap: float
 
     @property
     def sigma(self) -> float:
@@ -60,21 +65,25 @@ def find_strands(
         sigma: The noise level, normalised units; None: by that rule.
     """
     lines = [Piece(cloud.normalize(e.line.vertices), e.line.closed) for e in network.edges]
+    gap = _gap(network, lines)
     if sigma is None:
-        sigma = min(SIGMA_DEFAULT, SIGMA_PER_GAP * _gap(network, lines), _room(network, lines))
+        sigma = min(SIGMA_DEFAULT, SIGMA_PER_GAP * gap, _room(network, lines))
     arcs = [_evenly(line, SUPPORT_SPACING * sigma) for line in lines]
     one_way = [network.is_one_way(edge.piece) for edge in network.edges]
-    number = np.repeat(np.arange(len(lines)), list(map(len, arcs)))
+    counts = tuple(map(len, arcs))
     mixture = StrandMixture(
         np.concatenate([line.at(arc) for line, arc in zip(lines, arcs, strict=True)]),
         np.concatenate(
             [tangents_at(line, arc, sigma) for line, arc in zip(lines, arcs, strict=True)]
         ),
-        np.repeat(one_way, list(map(len, arcs))),
+        np.repeat(one_way, counts),
         sigma,
     )
-    ends = [network.nodes[end].place for end in resting_ends(network)]
-    return StrandSupport(mixture, cloud.normalize(np.reshape(ends, (-1, cloud.dim))), number)
+    ends = np.reshape(
+        [network.nodes[end].place for end in resting_ends(network)], (-1, cloud.dim)
+    )
+    spacing = network.spacing / network.unit_length
+    return StrandSupport(mixture, cloud.normalize(ends), counts, spacing, gap)
 
 
 def resting_ends(network: PathNetwork) -> list[int]:

@@ -26,7 +26,7 @@ def network_figure(cloud: PointCloud, network: PathNetwork) -> Figure:
     views = [(0, 1)] if network.dim == 2 else [(0, 1), (0, 2)]
     figure, axes = plotting.new_figure(1, len(views), 7 * len(views), 6.4)
     for view, plane in zip(views, axes, strict=True):
-        _draw(plane, cloud.points[:, view], network, view)
+        draw_network(plane, cloud.points, network, view)
         plane.set(xlabel="xyz"[view[0]], ylabel="xyz"[view[1]], aspect="equal")
     counts = {
         kind: f"{number} {kind}" + "s" * (number != 1)
@@ -46,8 +46,11 @@ def _pieces(network: PathNetwork) -> str:
     return ", ".join(f"{number} {kind}" + "s" * (number > 1) for kind, number in names.items())
 
 
-def _draw(axes: Axes, points: FloatArray, network: PathNetwork, view: tuple[int, ...]) -> None:
-    axes.plot(*points.T, ".", color="0.7", markersize=3, zorder=0, label="waypoints")
+def draw_network(
+    axes: Axes, points: FloatArray, network: PathNetwork, view: tuple[int, ...] = (0, 1)
+) -> None:
+    """Draws waypoints, edges and nodes, and numbers these, in two of their coordinates."""
+    axes.plot(*points[:, view].T, ".", color="0.7", markersize=3, zorder=0, label="waypoints")
     numbered = len(network.edges) <= MOST_NUMBERS
     for k, edge in enumerate(network.edges):
         line = edge.line.at(np.linspace(0, edge.length, 2 + 4 * len(edge.line.vertices)))

@@ -9,29 +9,44 @@ import pandas as pd
 
 from sgvf_drake import plotting
 from sgvf_drake.clouds import PointCloud
+from sgvf_drake.experiments.figures.network import draw_network
 from sgvf_drake.experiments.fly import FlightResult, PieceFlight
 from sgvf_drake.experiments.follow import FollowResult
 from sgvf_drake.experiments.tour import TourResult
-from sgvf_drake.fields import Field, GuidingField
-from sgvf_drake.metrics import FollowMetrics
+from sgvf_drake.fields import DirectedField, Field, GuidingField
 from systems import Mode
 
 # Behind the times of a transfer.
 SHADE = "#f3d9b1"
 
 
-def field_figure(field: GuidingField, columns: int = 1) -> tuple[Figure, list[Axes]]:
-    """Returns a figure that shows a planar field with its waypoints, and its further axes."""
+def field_figure(
+    field: GuidingField | DirectedField, columns: int = 1
+) -> tuple[Figure, list[Axes]]:
+    """Returns a figure that shows a planar field with its waypoints, and its further axes.
+
+    Of a directed field, which differs with the intended direction, it shows the network.
+    """
     figure, axes = plotting.new_figure(1, columns, 5.2 * columns, 4.6)
     if field.dim == 2:
-        plotting.plot_field(axes[0], field, field.cloud.box)
+        _plot_behind(axes[0], field)
         plotting.plot_waypoints(axes[0], field.cloud.points)
-        plotting.plane_axes(axes[0], plotting.UNIT, "guiding field")
+        directed = isinstance(field, DirectedField)
+        title = "network of paths" if directed else "guiding field"
+        plotting.plane_axes(axes[0], plotting.UNIT, title)
         axes = axes[1:]
     return figure, axes
 
 
-def training_figure(field: GuidingField, history: pd.DataFrame) -> Figure:
+def _plot_behind(axes: Axes, field: GuidingField | DirectedField) -> None:
+    """Draws what agents move over: the field, or the network of a directed one."""
+    if isinstance(field, DirectedField):
+        draw_network(axes, field.cloud.points, field.network)
+    else:
+        plotting.plot_field(axes, field, field.cloud.box)
+
+
+def training_figure(field: GuidingField | DirectedField, history: pd.DataFrame) -> Figure:
     """Returns the field with its waypoints beside the losses (paper, Fig. 2)."""
     stages = [losses for _, losses in history.groupby("stage", sort=False)]
     figure, axes = field_figure(field, len(stages) + (field.dim == 2))
@@ -40,27 +55,20 @@ def training_figure(field: GuidingField, history: pd.DataFrame) -> Figure:
     return figure
 
 
-def follow_figure(field: GuidingField, result: FollowResult) -> Figure:
+def follow_figure(field: GuidingField | DirectedField, result: FollowResult) -> Figure:
     """Returns trajectories over the field, and the cross-track error over time."""
     figure, axes = plotting.new_figure(1, 2, 11, 5.2)
     if field.dim == 2:
-        plotting.plot_field(axes[0], field, field.cloud.box)
-    followed = result.metrics.lapped | result.metrics.ended
+        _plot_behind(axes[0], field)
+    followed = result.metrics.followed
     plotting.plot_trajectories(axes[0], result.positions, followed)
     plotting.plot_waypoints(axes[0], field.cloud.points)
-    title = f"{followed.sum()} of {len(followed)} starts {_aim(result.metrics)}"
+    title = f"{followed.sum()} of {len(followed)} starts {result.metrics.aim}"
     plotting.plane_axes(axes[0], plotting.UNIT, title)
     plotting.plot_cross_track(
         axes[1], result.times, result.errors, plotting.UNIT, "s at unit speed"
     )
     return figure
-
-
-def _aim(metrics: FollowMetrics) -> str:
-    """Returns what the agents are to do on the pieces on which they are in the end."""
-    if metrics.open.all():
-        return "come to rest at the end"
-    return "complete a lap" + (" or come to rest at the end" if metrics.open.any() else "")
 
 
 def flight_figure(
