@@ -278,6 +278,11 @@ def test_a_completed_itinerary_leaves_no_direction():
     state = navigator.advance(state, np.array([[-2.9, 0.0], [0.0, 1.86]]))
     np.testing.assert_array_equal(navigator.completed(state), [0, 1])
     np.testing.assert_allclose(navigator.direction(state), [[1, 0], [0, 0]], atol=1e-9)
+    # Nobody is before its start.
+    before = navigator.start(np.array([[-3.2, 0.0]]))
+    for _ in range(3):
+        before = navigator.advance(before, np.array([[-3.2, 0.0]]))
+        np.testing.assert_array_equal(before.arc, 0)
     # It stays completed.
     state = navigator.advance(state, np.array([[-2.8, 0.0], [0.0, 1.5]]))
     np.testing.assert_array_equal(navigator.completed(state), [0, 1])
