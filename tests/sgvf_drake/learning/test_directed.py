@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 import pytest
 import torch
 
+from sgvf_drake import certify, enclose_zeros, find_singularities, verify
 from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import DirectedField, StrandMixture, StrandNetwork, load_field
@@ -147,6 +148,26 @@ def test_a_field_that_leads_nowhere_is_left() -> None:
     away = replace(field.strands, points=field.strands.points + 1.5)
     check = check_directed(replace(field, strands=away))
     assert "leave" in {fault.kind for fault in check.pieces[0].faults}
+
+
+def test_acute_tips_are_told_and_a_route_turns_at_them() -> None:
+    places = np.array([[-1.0, 0.0], [1.0, 0.0], [-3.0, -4.0], [3.0, -4.0]])
+    messages = {}
+    for height in (4.0, 1.0):
+        tip = {3: np.array([[0.0, height]])}
+        network = straight_network(places, [(0, 1), (0, 2), (1, 3), (0, 1)], tip)
+        result = train(network, TrainingConfig(recipe="exact"))
+        assert result.self_check.passed, result.self_check.message
+        messages[height] = result.support.messages
+    assert messages[1.0] == ()
+    assert "edge 4 has an acute tip" in messages[4.0][0]
+
+
+def test_what_knows_fields_of_the_position_alone_refuses_others() -> None:
+    field = exact("T")
+    for examine in (verify, certify, find_singularities, enclose_zeros):
+        with pytest.raises(ConfigurationError, match=r"directed field m\(x, g\) of a network"):
+            examine(field)
 
 
 def test_options_of_other_fields_are_refused() -> None:
