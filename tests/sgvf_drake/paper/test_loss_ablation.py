@@ -10,16 +10,13 @@ from sgvf_drake.paper import ablation
 from sgvf_drake.paper.ablation import (
     COMPLETE,
     FIELDS,
-    NO_DIRECTION,
-    NO_ORTHOGONALITY,
-    NO_UNIT,
 )
 from sgvf_drake.paper.claims import Verdict
 from sgvf_drake.paper.experiment import FOLDER
 from sgvf_drake.paper.loss_ablation import LossAblation
 
 NETWORKS = ("[2,128,2]", "[2,64,64,64,64,2]")
-OF_LOSSES = (COMPLETE, NO_UNIT, NO_ORTHOGONALITY, NO_DIRECTION)
+OF_LOSSES = (COMPLETE, "no-unit", "no-orthogonality", "no-direction")
 GOOD = {
     "following.followable": True,
     "following.lap": 1.0,
@@ -32,13 +29,13 @@ GOOD = {
     "tangent.sources": 0.0,
 }
 PAPER_SAYS = {
-    NO_UNIT: {"lengths.v_box_max": 0.3, "lengths.fading": 0.8, "lengths.leads_away": 0.9},
-    NO_ORTHOGONALITY: {"drift.drift_u": 1.0, "drift.outward": 0.3, "following.lap": 0.2},
-    NO_DIRECTION: {"tangent.conflicted": 1.0, "tangent.sources": 1.0},
+    "no-unit": {"lengths.v_box_max": 0.3, "lengths.fading": 0.8, "lengths.leads_away": 0.9},
+    "no-orthogonality": {"drift.drift_u": 1.0, "drift.outward": 0.3, "following.lap": 0.2},
+    "no-direction": {"tangent.conflicted": 1.0, "tangent.sources": 1.0},
 }
 OPPOSITE = {
-    NO_UNIT: {"lengths.v_box_max": 0.05, "lengths.fading": 3.0},
-    NO_ORTHOGONALITY: {"drift.drift_u": 0.05, "drift.outward": -0.3},
+    "no-unit": {"lengths.v_box_max": 0.05, "lengths.fading": 3.0},
+    "no-orthogonality": {"drift.drift_u": 0.05, "drift.outward": -0.3},
 }
 # A complete recipe whose tangent has conflicts, and does not fade.
 FAULTY = {"tangent.conflicted": 0.5, "tangent.sources": 0.5, "lengths.fading": 0.9}
@@ -74,7 +71,7 @@ HOLDS, PARTLY, FAILS = Verdict.HOLDS, Verdict.PARTLY, Verdict.FAILS
         (planted({}), FAILS, FAILS, FAILS),
         (planted(OPPOSITE), FAILS, FAILS, FAILS),
         (planted({**PAPER_SAYS, COMPLETE: FAULTY}), PARTLY, HOLDS, PARTLY),
-        (planted({**PAPER_SAYS, NO_DIRECTION: TWO_LINES}), HOLDS, HOLDS, PARTLY),
+        (planted({**PAPER_SAYS, "no-direction": TWO_LINES}), HOLDS, HOLDS, PARTLY),
         # One network alone is a part; a single seed shows nothing.
         (
             pd.concat([planted(PAPER_SAYS, 5, NETWORKS[:1]), planted({}, 5, NETWORKS[1:])]),

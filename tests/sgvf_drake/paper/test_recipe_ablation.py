@@ -12,10 +12,6 @@ from sgvf_drake.paper import ablation
 from sgvf_drake.paper.ablation import (
     COMPLETE,
     FIELDS,
-    NO_FEATURES,
-    NO_HINT,
-    NO_PROJECTION,
-    NOISY_TARGET,
     SPEED_ERROR,
 )
 from sgvf_drake.paper.claims import Verdict
@@ -23,7 +19,7 @@ from sgvf_drake.paper.experiment import FOLDER
 from sgvf_drake.paper.recipe_ablation import MEASURES, RecipeAblation, changes_of
 
 SHAPES = ("concentric-circles", "star")
-OF_RECIPE = (COMPLETE, NOISY_TARGET, NO_FEATURES, NO_HINT, NO_PROJECTION)
+OF_RECIPE = (COMPLETE, "noisy-target", "no-features", "no-hint", "no-projection")
 GOOD = {
     "following.lap": 1.0,
     "following.rms_u": 0.01,
@@ -56,31 +52,31 @@ def findings(table):
 def test_a_part_is_worth_what_agents_and_checks_lose_without_it_on_any_shape():
     table = planted(
         {
-            ("star", NO_HINT): {"following.lap": 0.0, "following.rms_u": np.nan},
-            ("star", NO_PROJECTION): {SPEED_ERROR: 0.8},
-            ("concentric-circles", NOISY_TARGET): {"score.score_cosine": 0.9},
+            ("star", "no-hint"): {"following.lap": 0.0, "following.rms_u": np.nan},
+            ("star", "no-projection"): {SPEED_ERROR: 0.8},
+            ("concentric-circles", "noisy-target"): {"score.score_cosine": 0.9},
             # Better without it, which does not speak for the part.
-            ("star", NO_FEATURES): {"score.score_cosine": 1.0},
+            ("star", "no-features"): {"score.score_cosine": 1.0},
         }
     )
     found = findings(table)
     assert {variant: finding.verdict for variant, finding in found.items()} == {
-        NO_HINT: Verdict.HOLDS,
-        NO_PROJECTION: Verdict.HOLDS,
-        NOISY_TARGET: Verdict.PARTLY,
-        NO_FEATURES: Verdict.FAILS,
+        "no-hint": Verdict.HOLDS,
+        "no-projection": Verdict.HOLDS,
+        "noisy-target": Verdict.PARTLY,
+        "no-features": Verdict.FAILS,
     }
-    both = planted({("star", NO_HINT): {"following.lap": 0.5, SPEED_ERROR: -0.5}})
-    assert findings(both)[NO_HINT].verdict == Verdict.PARTLY
-    hint, features = found[NO_HINT].evidence, found[NO_FEATURES].evidence
+    both = planted({("star", "no-hint"): {"following.lap": 0.5, SPEED_ERROR: -0.5}})
+    assert findings(both)["no-hint"].verdict == Verdict.PARTLY
+    hint, features = found["no-hint"].evidence, found["no-features"].evidence
     assert hint.startswith("worse without it: share of starts that lap on star 1 -> 0")
     assert "better without it: cosine of the score on star 0.99 -> 1" in features
 
 
 def test_a_part_that_changes_nothing_sure_and_large_is_not_worth_its_place():
     # The one is sure but small, the other large in one seed of five.
-    table = planted({("star", NOISY_TARGET): {"following.max_u": 0.035}})
-    one = (table["shape"] == "star") & (table["variant"] == NO_HINT) & (table["seed"] == 3)
+    table = planted({("star", "noisy-target"): {"following.max_u": 0.035}})
+    one = (table["shape"] == "star") & (table["variant"] == "no-hint") & (table["seed"] == 3)
     table.loc[one, "following.lap"] = 0.0
     found = findings(table)
     assert len(found) == 4
@@ -99,7 +95,7 @@ def test_the_scatter_of_seeds_seldom_speaks_for_a_part():
         rng = np.random.default_rng(seed)
         # Every change in the mean is larger than what would matter.
         scattered = {each.column: rng.normal(size=len(table)) for each in MEASURES}
-        found += len(changes_of(table.assign(**scattered), NO_HINT)) > 0
+        found += len(changes_of(table.assign(**scattered), "no-hint")) > 0
     assert found <= stats.binom.isf(1e-3, repeats, chance)
 
 
@@ -107,7 +103,7 @@ def test_a_small_run_shares_the_score_where_it_may(tmp_path, monkeypatch, check_
     check = {"holds": True, "reason": "", "slowest": 1.0, "falls": 0.9}
     monkeypatch.setattr(ablation, "checked_row", lambda *_: dict(check))
     monkeypatch.setattr(ablation, "default_duration", lambda path, unit: 4 * unit)
-    variants = [NOISY_TARGET, NO_FEATURES, NO_PROJECTION]
+    variants = ["noisy-target", "no-features", "no-projection"]
     few = {"starts": 4, "score_iterations": 20, "tangent_iterations": 20}
     kind = RecipeAblation(shapes=["circle"], variants=variants, seeds=[0], **few)
     outcome = kind.run(Workbench(tmp_path))
