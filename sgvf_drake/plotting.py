@@ -154,7 +154,7 @@ def plot_cross_track(
 
 
 def plot_intervals(
-    axes: Axes, x: FloatArray, intervals: Sequence[tuple[float, float, float]], **style: Any
+    axes: Axes, x: FloatArray, intervals: Sequence[Sequence[float]], **style: Any
 ) -> None:
     """Draws at each x a mean with its interval (mean, low, high), without one where it is NaN."""
     mean, low, high = np.array(intervals, dtype=np.float64).T
