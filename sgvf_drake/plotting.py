@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 import numpy as np
+from numpy.typing import ArrayLike
 import pandas as pd
 
 from sgvf_drake.arrays import Box, FloatArray, plane_grid
@@ -154,7 +155,7 @@ def plot_cross_track(
 
 
 def plot_intervals(
-    axes: Axes, x: FloatArray, intervals: Sequence[Sequence[float]], **style: Any
+    axes: Axes, x: ArrayLike, intervals: Sequence[Sequence[float]], **style: Any
 ) -> None:
     """Draws at each x a mean with its interval (mean, low, high), without one where it is NaN."""
     mean, low, high = np.array(intervals, dtype=np.float64).T

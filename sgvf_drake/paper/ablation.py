@@ -318,12 +318,10 @@ class SeedsTable:
             row: Row = {}
             for header, (measure, kind) in self.columns.items():
                 values = fields[measure]
-                if kind is Count:
-                    row[header] = str(Count.of(values))
-                elif kind is str:
-                    row[header] = values.iloc[0]
-                else:
+                if isinstance(kind, tuple):
                     row |= interval_columns(header, values.astype(float), kind)
+                else:
+                    row[header] = str(Count.of(values)) if kind is Count else values.iloc[0]
             return row
 
         names = {variant: name for variant, (name, _) in VARIANTS.items()}

@@ -158,14 +158,16 @@ def measures_figure(
         for number, (name, fields) in enumerate(groups):
             values = fields.pivot(index="seed", columns="variant", values=panel.measure)
             by_variant = values[[*names]].to_numpy(dtype=np.float64)
-            style = {"color": COLORS[number % len(COLORS)], "markersize": 5}
+            style: dict[str, Any] = {"color": COLORS[number % len(COLORS)], "markersize": 5}
             x = np.arange(len(names)) + GROUP_OFFSET * (number - (len(groups) - 1) / 2)
             means = [panel.mean(here) for here in by_variant.T]
             plotting.plot_intervals(own, x, means, fmt="o", label=str(name), **style)
             beside = np.linspace(-1, 1, len(values)) if len(values) > 1 else np.zeros(1)
             own.plot(SEED_OFFSET * beside[:, None] + x, by_variant, ".", alpha=0.35, **style)
         own.set_xticks(range(len(names)), list(names.values()), rotation=20, ha="right")
-        own.set(title=panel.label, yscale="log" if panel.log else "linear")
+        # Without any value there is no logarithmic axis.
+        log = panel.log and table[panel.measure].notna().any()
+        own.set(title=panel.label, yscale="log" if log else "linear")
         own.grid(axis="y", alpha=0.3)
     for spare in axes[len(panels) :]:
         spare.set_axis_off()

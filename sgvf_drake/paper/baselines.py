@@ -250,7 +250,7 @@ class BaselineComparison(Experiment):
 
     def logs(self, rows: Rows) -> Mapping[str, pd.DataFrame]:
         """Returns all rows."""
-        return {"baselines": rows["cells"].drop(columns=FOLDER)}
+        return {"baselines": rows["cells"].drop(columns=FOLDER, errors="ignore")}
 
 
 def _check(what: str, names: Sequence, known: Sequence | Mapping) -> None:
@@ -300,15 +300,13 @@ def _shares(rows: Rows, cells: Cells) -> pd.DataFrame:
 
 def _told(shares: pd.DataFrame) -> dict[str, str]:
     """Success of methods on each case, and coverage where that is what is missing."""
-    told = shares.reset_index()
-    told["text"] = [
-        f"{METHODS[one.method].label} {_followed(one.success, one.coverage)}"
-        for one in told.itertuples()
-    ]
-    return {
-        f"starts that succeed, {CASES[str(case)].label}": ", ".join(own)
-        for case, own in told.groupby("case", sort=False)["text"]
-    }
+    told: dict[str, list[str]] = {}
+    columns = shares.index, shares["success"], shares["coverage"]
+    for (case, method), success, covered in zip(*columns, strict=True):
+        name = f"starts that succeed, {CASES[case].label}"
+        text = f"{METHODS[method].label} {_followed(success, covered)}"
+        told.setdefault(name, []).append(text)
+    return {name: ", ".join(texts) for name, texts in told.items()}
 
 
 def _handled(rows: Rows, cells: Cells) -> Figures:

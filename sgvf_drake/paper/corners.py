@@ -313,9 +313,9 @@ def _square(rows: Rows) -> Figures:
     square = _of(rows, "shallow", SQUARE)
     near = square["near"].dropna()
     return {
-        "starts that stall near a corner": Mean.of_shares(square["stalled_near"]),
+        "starts that stall near a corner": Mean.of(square["stalled_near"]),
         "fields where some do": Count.of(square["stalled_near"] > 0),
-        "of those that stall": Mean.of_shares(near) if len(near) else "none",
+        "of those that stall": Mean.of(near) if len(near) else "none",
         "of the path": Share(square["even"].iloc[0]),
     }
 
@@ -332,9 +332,9 @@ def _hexagon(rows: Rows) -> Figures:
     pairs = square.merge(hexagon, on="seed", suffixes=("", "_hexagon"))
     less = pairs["stalled_near"] - pairs["stalled_near_hexagon"]
     return {
-        "starts that stall near a corner of the square": Mean.of_shares(square["stalled_near"]),
-        "of the hexagon": Mean.of_shares(hexagon["stalled_near"]),
-        "difference": Mean.of_shares(less, (-1.0, 1.0)),
+        "starts that stall near a corner of the square": Mean.of(square["stalled_near"]),
+        "of the hexagon": Mean.of(hexagon["stalled_near"]),
+        "difference": Mean.of(less, (-1.0, 1.0)),
         "corners of the square with a trap": Share(square["trapped"].mean()),
         "of the hexagon with a trap": Share(hexagon["trapped"].mean()),
     }
@@ -354,7 +354,7 @@ def _deep(rows: Rows) -> Figures:
         "shallow fields": Count.of(shallow[trap] > 0),
         "corners that trap, deep": Share(deep[trap].mean()),
         "corners that trap, shallow": Share(shallow[trap].mean()),
-        "difference": Mean.of_shares(pairs[trap] - pairs[f"{trap}_deep"], ANY),
+        "difference": Mean.of(pairs[trap] - pairs[f"{trap}_deep"], ANY),
         "starts that stall near a corner, deep": Share(deep["stalled_near"].mean()),
         "starts that do, shallow": Share(shallow["stalled_near"].mean()),
         "deep fields whose sides run different ways around": Count.of(deep["turns"] > 0),
@@ -365,7 +365,7 @@ def _pauses(rows: Rows) -> Figures:
     shallow = _of(rows, "shallow", *NAMES)
     slow = shallow["speed_corner"] / shallow["speed_side"]
     return {
-        SLOW: Mean.of_shares(slow, ANY),
+        SLOW: Mean.of(slow, ANY),
         PAUSED: float(100 * shallow["paused"].mean()),
         STALLED: Share(shallow["stalled"].mean()),
     }
@@ -531,7 +531,7 @@ def angles_figure(rows: Rows) -> Figure:
             shares = own.groupby("angle")[name]
             means = [[100 * x for x in interval(here, SHARE)] for _, here in shares]
             angles = np.array(list(shares.groups)) + shift
-            style = {"color": color, "marker": marker, "label": network}
+            style: dict[str, Any] = {"color": color, "marker": marker, "label": network}
             plotting.plot_intervals(panel, angles, means, **style)
         # From the middle of one side over the corner to the middle of the next.
         past = np.concatenate([_speed_past_corners(folder, network) for folder in squares])

@@ -307,7 +307,7 @@ def _measure_tracking(rows: Rows) -> Figures:
     share = fraction_interval(count.good, count.all)
     return {
         TRACKED: count,
-        "share of the fields": Mean(*share, percent=True),
+        "share of the fields": Mean(*share),
         "starts that lap in the worst field": Share(fields["lap"].min()),
     }
 

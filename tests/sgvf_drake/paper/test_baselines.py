@@ -305,11 +305,11 @@ def test_what_was_not_run_is_not_judged():
 
 
 @pytest.fixture(scope="module")
-def outcome(tmp_path_factory):
-    bench = Workbench(tmp_path_factory.mktemp("bench"))
+def outcome(tmp_path_factory, run_kind):
+    folder = tmp_path_factory.mktemp("bench")
     methods = ["implicit", "parametric"]
     comparison = BaselineComparison(["ordered", "shuffled"], methods, starts=4, seeds=[3, 4])
-    return comparison.run(bench), bench
+    return run_kind(comparison, folder), folder
 
 
 def test_a_small_run_tells_order_from_disorder(outcome):
@@ -319,20 +319,19 @@ def test_a_small_run_tells_order_from_disorder(outcome):
     assert (rows.loc[("shuffled", "parametric"), "success"] == 0).all()
     assert rows.loc[("ordered", "parametric", 3), "rms_u"] < 1e-3
     assert (rows["evaluation_us"] > 0).all()
-    assert [claim.verdict for claim in found.claims[:2]] == [HOLDS, HOLDS]
+    assert [*found.verdicts.values()][:2] == [HOLDS, HOLDS]
 
 
 def test_what_cannot_differ_is_run_once(outcome):
-    _, bench = outcome
+    _, folder = outcome
     # Of eight cells: one fit for all, one curve in order, and two out of order.
-    assert len(list(bench.store.folder.rglob(TRAJECTORIES))) == 1 + 1 + 2
+    assert len(list(folder.rglob(TRAJECTORIES))) == 1 + 1 + 2
 
 
 def test_tables_and_figure(outcome):
     found, _ = outcome
-    names = [exhibit.name for exhibit in found.exhibits]
-    assert names == ["baselines", "baselines_ordered", "baselines_shuffled"]
-    table = found.exhibits[1].content.set_index("method")
+    assert [*found.tables] == ["baselines_ordered", "baselines_shuffled"]
+    table = found.tables["baselines_ordered"].set_index("method")
     assert list(table.index) == [METHODS[name].label for name in ("implicit", "parametric")]
     line = table.loc["parametric"]
     assert line["success mean"] == 1.0
@@ -341,7 +340,7 @@ def test_tables_and_figure(outcome):
     assert np.isnan(line["success high"])
     assert 0 < line["RMS, U mean"] <= line["max, U"] < 0.01
     # One row of panels: of the methods that ran, the figure shows the implicit curve.
-    assert len(found.exhibits[0].content.axes) == 2
+    assert len(found.figures["baselines"].axes) == 2
 
 
 @pytest.mark.parametrize(
@@ -355,5 +354,5 @@ def test_tables_and_figure(outcome):
 )
 def test_what_is_not_there_is_refused(tmp_path, options, message):
     with pytest.raises(ConfigurationError, match=message):
-        BaselineComparison(**options).run(Workbench(tmp_path / "bench"))
+        BaselineComparison(**options).measure(Workbench(tmp_path / "bench"))
     assert not (tmp_path / "bench").exists()

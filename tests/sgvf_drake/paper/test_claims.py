@@ -53,11 +53,10 @@ def test_figures_say_themselves_how_they_are_told():
     for figure, told in (
         (Count.of([True, False, True]), "2 of 3"),
         (Share(0.834), "83%"),
-        (Mean(0.5, 0.25, 0.75), "0.5 [0.25, 0.75]"),
-        (Mean.of([0.5]), "0.5"),
-        (Mean.of_shares([0.5, 0.5]), "50% [50%, 50%]"),
+        (Mean(0.5, 0.25, 0.75), "50% [25%, 75%]"),
+        (Mean.of([0.5]), "50%"),
         (Span.of([3.0, 1.0, 2.0]), "1 to 3"),
-        (Span.of([0.1, 0.5], percent=True), "10% to 50%"),
+        (Span(0.1, 0.5, percent=True), "10% to 50%"),
     ):
         assert str(figure) == told
 

@@ -53,36 +53,34 @@ def trained(monkeypatch, turning_field):
     monkeypatch.setattr("sgvf_drake.learning.train", lambda cloud, config: result)
 
 
-def test_the_kind_flies_and_draws(trained, tmp_path, check_stored_rows):
+def test_the_kind_flies_and_draws(trained, run_kind, tmp_path):
     # The inner ring alone; from ring to ring is flown by the tests of tours.
     kind = Flights(shapes=["concentric-flight"], tours=["1"], seeds=[0], paper_seeds=[])
-    rows = kind.measure(Workbench(tmp_path))
-    assert [each.name for each in kind.figures(rows)] == ["flight_concentric-flight_robust"]
-    parts, told = (table.content for table in kind.tables(rows))
+    found = run_kind(kind, tmp_path)
+    assert [*found.figures] == ["flight_concentric-flight_robust"]
+    parts, told = found.tables.values()
     (part,) = parts.to_dict("records")
     assert part["part"] == "piece 1"
     assert 2 < part["RMS, mm mean"] < 10
     assert told["outcome"].tolist() == ["completed"]
     # The least that a circle of 1 m at 0.45 m/s asks for.
     assert 0.45**2 < told["largest acceleration, m/s^2"][0] < 1.0
-    assert [claim.verdict for claim in kind.findings(rows)] == [Verdict.HOLDS, Verdict.HOLDS]
-    check_stored_rows(kind, rows)
+    assert set(found.verdicts.values()) == {Verdict.HOLDS}
 
 
-def test_lost_control_is_a_result(trained, tmp_path, monkeypatch, check_stored_rows):
+def test_lost_control_is_a_result(trained, monkeypatch, run_kind, tmp_path):
     def lost(*args, **options):
         raise ConfigurationError("the quadrotor lost control on the tour")
 
     monkeypatch.setattr(flights, "fly_tour", lost)
     kind = Flights(shapes=["concentric-flight"], tours=["1,2"], seeds=[], paper_seeds=[0])
-    rows = kind.measure(Workbench(tmp_path))
+    found = run_kind(kind, tmp_path)
     # There is nothing to draw, and no part to measure.
-    assert kind.figures(rows) == []
-    parts, told = (table.content for table in kind.tables(rows))
+    assert found.figures == {}
+    parts, told = found.tables.values()
     assert parts.empty
     assert told["outcome"].tolist() == ["lost control"]
-    assert [claim.verdict for claim in kind.findings(rows)] == [Verdict.FAILS, Verdict.FAILS]
-    check_stored_rows(kind, rows)
+    assert set(found.verdicts.values()) == {Verdict.FAILS}
 
 
 @pytest.mark.parametrize(
@@ -96,7 +94,7 @@ def test_lost_control_is_a_result(trained, tmp_path, monkeypatch, check_stored_r
 )
 def test_a_tour_that_is_none_is_an_error(tours, said, tmp_path):
     with pytest.raises(ConfigurationError, match=said):
-        Flights(tours=tours).run(Workbench(tmp_path))
+        Flights(tours=tours).measure(Workbench(tmp_path))
 
 
 def planted(seed=0, legs=2, **changes):

@@ -8,7 +8,6 @@ import pandas as pd
 import pytest
 
 from sgvf_drake.clouds import PointCloud
-from sgvf_drake.experiments.workbench import Workbench
 from sgvf_drake.fields import load_field
 from sgvf_drake.learning import train
 from sgvf_drake.paper import baselines
@@ -79,7 +78,7 @@ def test_changes_of_fields_are_their_differences(exact_field, concentric):
     assert again["exact score, box"].max() < 1e-9
 
 
-def test_the_kind_runs_on_fields_that_are_hardly_trained(tmp_path, monkeypatch):
+def test_the_kind_runs_on_fields_that_are_hardly_trained(tmp_path, monkeypatch, run_kind):
     short = partial(replace, tangent_iterations=10, max_restarts=0)
     monkeypatch.setattr(
         "sgvf_drake.learning.train", lambda cloud, config: train(cloud, short(config))
@@ -87,14 +86,12 @@ def test_the_kind_runs_on_fields_that_are_hardly_trained(tmp_path, monkeypatch):
     # Nor is it of interest how far the agents would come.
     monkeypatch.setattr(baselines, "default_duration", lambda path, unit: 4 * unit)
     kind = Indexing(recipe="exact", thinning=[8], starts=4, seeds=[0])
-    outcome = kind.run(Workbench(tmp_path))
-    figure, curves, agents, order = (exhibit.content for exhibit in outcome.exhibits)
-    assert len(figure.axes) == 9
+    found = run_kind(kind, tmp_path)
+    assert len(found.figures["indexing"].axes) == 9
+    curves, agents, order = found.tables.values()
     assert len(curves) == 6
     assert agents["field"].tolist() == 3 * ["Fourier", "Lagrange"] + 3 * ["SGVF, exact"]
     assert order["change"].tolist() == ["another order", "another seed"]
-    # Stored rows tell as much as the run.
-    assert kind.findings(outcome.rows) == outcome.claims
     # One seed more is trained on the ordered waypoints, to compare with.
     fields = [load_field(file) for file in tmp_path.rglob("field.safetensors")]
     assert sorted(field.seed for field in fields) == [0, 0, 0, 1]

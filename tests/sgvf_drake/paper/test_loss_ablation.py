@@ -4,7 +4,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from sgvf_drake.experiments.workbench import Workbench
 from sgvf_drake.fields import load_field
 from sgvf_drake.paper import ablation
 from sgvf_drake.paper.ablation import (
@@ -103,7 +102,7 @@ def test_complete_recipes_that_fail_are_said_and_effects_are_told():
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory):
+def small_run(tmp_path_factory, run_kind):
     """A small run, without the sublevel checks."""
     check = {"reason": "not checked"}
     check |= dict.fromkeys(("holds", "band", "zeros", "slowest", "falls", "cosine"), 0)
@@ -112,13 +111,11 @@ def run(tmp_path_factory):
     kind = LossAblation(networks=[[6, 6]], seeds=[0], **few)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(ablation, "checked_row", lambda *_: dict(check))
-        bench = Workbench(tmp_path_factory.mktemp("losses"))
-        return kind, kind.measure(bench)
+        return run_kind(kind, tmp_path_factory.mktemp("losses"))
 
 
-def test_the_variants_share_the_score_and_differ_by_one_weight(run):
-    _, rows = run
-    table = rows[FIELDS]
+def test_the_variants_share_the_score_and_differ_by_one_weight(small_run):
+    table = small_run.rows[FIELDS]
     assert table["variant"].tolist() == list(OF_LOSSES)
     folder = table[FOLDER][0]
     complete = load_field(folder / f"{COMPLETE}.safetensors")
@@ -132,17 +129,14 @@ def test_the_variants_share_the_score_and_differ_by_one_weight(run):
         assert after[f"{loss}_weight"] == 0
 
 
-def test_a_run_draws_and_tells(run, check_stored_rows):
-    kind, rows = run
-    fields, measures = kind.figures(rows)
-    assert [fields.name, measures.name] == ["fields", "measures"]
+def test_a_run_draws_and_tells(small_run):
+    assert [*small_run.figures] == ["fields", "measures"]
     # Four panels of arrows and waypoints, and where the four agents stopped.
-    for panel in fields.content.axes[:4]:
+    for panel in small_run.figures["fields"].axes[:4]:
         assert len(panel.collections) == 2
         assert len(panel.lines[0].get_xdata()) == 4
-    following, claims, checks = (table.content for table in kind.tables(rows))
+    following, claims, checks = small_run.tables.values()
     assert following["followable seeds"].tolist() == 4 * ["0 of 1"]
     assert claims["network"].unique().tolist() == ["[2,6,6,2]"]
     assert checks["first seed"].tolist() == 4 * ["not checked"]
-    assert list(kind.logs(rows)) == ["fields"]
-    check_stored_rows(kind, rows)
+    assert [*small_run.logs] == ["fields"]

@@ -15,7 +15,6 @@ from sgvf_drake.paper.ablation import (
     SPEED_ERROR,
 )
 from sgvf_drake.paper.claims import Verdict
-from sgvf_drake.paper.experiment import FOLDER
 from sgvf_drake.paper.recipe_ablation import MEASURES, RecipeAblation, changes_of
 
 SHAPES = ("concentric-circles", "star")
@@ -99,21 +98,18 @@ def test_the_scatter_of_seeds_seldom_speaks_for_a_part():
     assert found <= stats.binom.isf(1e-3, repeats, chance)
 
 
-def test_a_small_run_shares_the_score_where_it_may(tmp_path, monkeypatch, check_stored_rows):
+def test_a_small_run_shares_the_score_where_it_may(tmp_path, monkeypatch, run_kind):
     check = {"holds": True, "reason": "", "slowest": 1.0, "falls": 0.9}
     monkeypatch.setattr(ablation, "checked_row", lambda *_: dict(check))
     monkeypatch.setattr(ablation, "default_duration", lambda path, unit: 4 * unit)
     variants = ["noisy-target", "no-features", "no-projection"]
     few = {"starts": 4, "score_iterations": 20, "tangent_iterations": 20}
     kind = RecipeAblation(shapes=["circle"], variants=variants, seeds=[0], **few)
-    outcome = kind.run(Workbench(tmp_path))
-    names = [exhibit.name for exhibit in outcome.exhibits]
-    assert names == ["fields", "measures", "following", "inside"]
-    assert [len(each.content.axes) for each in outcome.exhibits[:2]] == [5, 6]
-    assert [claim.key for claim in outcome.claims] == [f"robust-{name}" for name in variants]
-    fields = outcome.logs["fields"]
-    assert fields["variant"].tolist() == [COMPLETE, *variants]
-    check_stored_rows(kind, {FIELDS: fields.assign(**{FOLDER: ""})})
+    found = run_kind(kind, tmp_path)
+    assert [len(figure.axes) for figure in found.figures.values()] == [5, 6]
+    assert [*found.tables] == ["following", "inside"]
+    assert [*found.verdicts] == [f"robust-{name}" for name in variants]
+    assert found.logs["fields"]["variant"].tolist() == [COMPLETE, *variants]
 
     (folder,) = tmp_path.glob("measure_*")
     complete, noisy, plain, without = (
@@ -131,5 +127,5 @@ def test_a_small_run_shares_the_score_where_it_may(tmp_path, monkeypatch, check_
 @pytest.mark.parametrize("variant", ["no-hope", COMPLETE])
 def test_a_variant_that_is_none_is_an_error_before_anything_runs(tmp_path, variant):
     with pytest.raises(ConfigurationError, match=variant):
-        RecipeAblation(variants=[variant]).run(Workbench(tmp_path))
+        RecipeAblation(variants=[variant]).measure(Workbench(tmp_path))
     assert not list(tmp_path.iterdir())

@@ -9,6 +9,7 @@ import pytest
 
 from sgvf_drake.exceptions import ConfigurationError, ExperimentError, OutputExistsError
 from sgvf_drake.paper import load_scenario, run_scenario, running
+from sgvf_drake.paper.experiment import load_rows
 from sgvf_drake.paper.running import is_result_of, stored_summary
 from tests.helpers import content_of, names_in
 
@@ -50,7 +51,7 @@ def test_a_run_leaves_exhibits_logs_scenario_and_summary(load, tmp_path):
     assert stored.keys() == summary.keys() == KEYS
     assert stored.items() >= scenario.summary().items()
     assert stored["seeds"] == [1, 2, 4]
-    assert stored["figures"] == {"largest": 48}
+    assert load_rows(out / "rows.json")["squares"].equals(table)
     assert stored["claims"] == [
         {
             **{"key": "grow", "source": "Section IX", "statement": "Squares grow."},

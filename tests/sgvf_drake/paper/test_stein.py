@@ -162,24 +162,20 @@ def test_a_learned_score_is_tested_on_its_own_density(tmp_path, monkeypatch, rob
     assert size == pytest.approx(1 / robust_field.sigma, rel=0.03)
 
 
-def test_the_kind_runs_on_exact_scores(tmp_path, check_outcome):
-    kind = SteinIdentity(recipes=[], draws=2 * CHUNK, seeds=[0])
-    outcome = kind.run(Workbench(tmp_path))
-    names = [exhibit.name for exhibit in outcome.exhibits]
-    assert names == ["stein", "stein_scores", "stein_test_fields"]
-    assert len(outcome.exhibits[1].content) == 6
-    assert len(outcome.exhibits[2].content) == 9
-    assert [claim.key for claim in outcome.claims] == [
+def test_the_kind_runs_on_exact_scores(run_kind, tmp_path):
+    found = run_kind(SteinIdentity(recipes=[], draws=2 * CHUNK, seeds=[0]), tmp_path)
+    assert [*found.figures] == ["stein"]
+    assert [len(table) for table in found.tables.values()] == [6, 9]
+    assert [*found.verdicts] == [
         *("stein-identity", "stein-log-density"),
         *("stein-squashed-identity", "stein-squashed-mean"),
     ]
-    check_outcome(kind, outcome)
 
 
 @pytest.mark.parametrize("draws", [0, CHUNK - 1, CHUNK + 1])
 def test_draws_that_do_not_fill_their_chunks_are_an_error(draws, tmp_path):
     with pytest.raises(ConfigurationError, match=f"a positive multiple of 20000, not {draws}"):
-        SteinIdentity(draws=draws).run(Workbench(tmp_path))
+        SteinIdentity(draws=draws).measure(Workbench(tmp_path))
 
 
 # Verdicts.
