@@ -278,10 +278,35 @@ class Indexing(Experiment):
 
     def tables(self, rows: Rows) -> list[Exhibit]:
         """Returns the tables of curves, of agents, and of the changes of fields."""
+        curves = over_seeds(
+            rows["curves"].replace({"curve": LABELS}),
+            ("case", "curve", "waypoints"),
+            lambda own: {
+                **interval_columns("length over true", own["length_ratio"]),
+                **interval_columns("farthest from path, U", own["farthest_u"]),
+            },
+        )
+        agents = over_seeds(
+            rows["agents"].assign(field=rows["agents"]["field"].map(_label)),
+            ("case", "field"),
+            lambda own: {
+                **interval_columns("success", own["success"], SHARE),
+                **interval_columns("coverage", own["coverage"], SHARE),
+            },
+        )
+        changes = over_seeds(
+            rows["changes"],
+            ("change",),
+            lambda own: {
+                column: value
+                for name in own.columns.drop("change")
+                for column, value in interval_columns(name, own[name]).items()
+            },
+        )
         return [
-            Exhibit("indexing_curves", CURVES_CAPTION, _curves_table(rows["curves"])),
-            Exhibit("indexing_agents", AGENTS_CAPTION, _agents_table(rows["agents"])),
-            Exhibit("indexing_order", ORDER_CAPTION, _order_table(rows["changes"])),
+            Exhibit("indexing_curves", CURVES_CAPTION, curves),
+            Exhibit("indexing_agents", AGENTS_CAPTION, agents),
+            Exhibit("indexing_order", ORDER_CAPTION, changes),
         ]
 
     def figures(self, rows: Rows) -> list[Exhibit]:
@@ -292,7 +317,11 @@ class Indexing(Experiment):
         firsts: Any = rows["agents"].groupby(["case", "field"]).first()
         for column, case in enumerate(GIVEN):
             cloud, _ = make_waypoints(CurveTrial(case, DRAWN, self.thinning[0], self.seeds[0]))
-            _draw_curves(axes[column], cloud)
+            for curve, color in COLORS.items():
+                x = cloud.normalize(curve_points(curve, cloud))
+                axes[column].plot(*x.T, color=color, linewidth=1.0, label=LABELS[curve])
+            points = cloud.normalize(cloud.points)
+            axes[column].plot(*points.T, "o", color="black", markersize=3.5)
             _frame(axes[column], f"{case}, {cloud.num_points} waypoints")
             for row, name in enumerate(shown, start=1):
                 here = axes[row * width + column]
@@ -392,48 +421,6 @@ def _label(field: str) -> str:
     return LABELS.get(field, f"SGVF, {field}")
 
 
-def _draw_curves(axes: Axes, cloud: PointCloud) -> None:
-    for name, color in COLORS.items():
-        x = cloud.normalize(curve_points(name, cloud))
-        axes.plot(x[:, 0], x[:, 1], color=color, linewidth=1.0, label=LABELS[name])
-    points = cloud.normalize(cloud.points)
-    axes.plot(points[:, 0], points[:, 1], "o", color="black", markersize=3.5)
-
-
 def _frame(axes: Axes, title: str) -> None:
     plotting.plane_axes(axes, "U", title)
     axes.set(xlim=(-HALF_SIZE, HALF_SIZE), ylim=(-HALF_SIZE, HALF_SIZE))
-
-
-def _curves_table(curves: pd.DataFrame) -> pd.DataFrame:
-    return over_seeds(
-        curves.assign(curve=curves["curve"].map(LABELS)),
-        ("case", "curve", "waypoints"),
-        lambda own: {
-            **interval_columns("length over true", own["length_ratio"]),
-            **interval_columns("farthest from path, U", own["farthest_u"]),
-        },
-    )
-
-
-def _agents_table(agents: pd.DataFrame) -> pd.DataFrame:
-    return over_seeds(
-        agents.assign(field=agents["field"].map(_label)),
-        ("case", "field"),
-        lambda own: {
-            **interval_columns("success", own["success"], SHARE),
-            **interval_columns("coverage", own["coverage"], SHARE),
-        },
-    )
-
-
-def _order_table(changes: pd.DataFrame) -> pd.DataFrame:
-    return over_seeds(
-        changes,
-        ("change",),
-        lambda own: {
-            column: value
-            for name in own.columns.drop("change")
-            for column, value in interval_columns(str(name), own[name]).items()
-        },
-    )

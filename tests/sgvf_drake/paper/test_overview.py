@@ -14,8 +14,6 @@ from sgvf_drake.paper.overview import (
     Overview,
     converged,
     course,
-    fields_table,
-    losses_table,
     tangent_courses,
 )
 
@@ -138,14 +136,15 @@ def test_a_verdict_follows_from_the_fields_of_its_recipe(rows, score, losses, tr
 
 def test_tables_are_over_the_seeds(small_run):
     fields = small_run.rows["fields"]
-    table = pd.concat([fields, fields.assign(all_lap=False, lap=0.5)])
-    (found,) = fields_table(table.assign(rms_u=[0.1, None])).to_dict("records")
-    assert (found["fields followed mean"], found["lap mean"]) == (0.5, 0.75)
-    assert found["RMS, U mean"] == 0.1
+    table = pd.concat([fields, fields.assign(all_lap=False, lap=0.5)]).assign(rms_u=[0.1, None])
     history = pd.DataFrame(
         {"stage": "tangent", "iteration": range(20), "unit": 0.25, "total": 0.5}
     )
     losses = [tangent_courses(history), tangent_courses(history.assign(unit=0.75))]
-    means = losses_table(table.assign(losses=losses))
+    tables = Overview().tables({"fields": table.assign(losses=losses)})
+    found, means = (exhibit.content for exhibit in tables)
+    assert found["fields followed mean"].tolist() == [0.5]
+    assert found["lap mean"].tolist() == [0.75]
+    assert found["RMS, U mean"].tolist() == [0.1]
     assert means["loss"].tolist() == ["unit", "total"]
     assert means["last tenth"].tolist() == [0.5, 0.5]
