@@ -106,16 +106,6 @@ class CurveTrial:
     seed: int
 
 
-@dataclass(frozen=True)
-class LearnedTrial:
-    """A field trained on a case, one of `GIVEN`; the rest is as in `Indexing`."""
-
-    case: str
-    recipe: str
-    seed: int
-    starts: int
-
-
 def measure_curve(trial: CurveTrial, folder: Path) -> Row:
     """Measures a curve against the path that its waypoints come from; leaves nothing.
 
@@ -133,17 +123,17 @@ def measure_curve(trial: CurveTrial, folder: Path) -> Row:
     }
 
 
-def measure_learned(trial: LearnedTrial, folder: Path) -> Row:
-    """Trains a field and follows it; leaves it, and the trajectories as `measure_baseline`.
+def measure_learned(trial: BaselineTrial, folder: Path) -> Row:
+    """Trains a field by a recipe and follows it; leaves it, and its trajectories.
 
     Returns:
         success and coverage, the share of agents that succeed and of waypoints they pass.
     """
     cloud, path = make_case(CASES[trial.case], trial.seed)
     # One attempt: at a fork, the self-check finds a fault in whatever was trained.
-    field = trained(cloud, trial.recipe, trial.seed, max_restarts=0).field
+    field = trained(cloud, trial.method, trial.seed, max_restarts=0).field
     field.save(folder / FIELD)
-    run, ways = follow_case(field, path, trial.recipe, trial.starts, folder)
+    run, ways = follow_case(field, path, trial.method, trial.starts, folder)
     return {"success": float(ways.good.mean()), "coverage": coverage(run, ways, cloud)}
 
 
@@ -205,29 +195,21 @@ class Indexing(Experiment):
         ]
         # One seed more on the ordered waypoints, only to compare its field with.
         further = max(self.seeds) + 1
-        learned = run_trials(
-            bench,
-            measure_learned,
-            [
-                LearnedTrial(case, self.recipe, seed, self.starts)
-                for case in GIVEN
-                for seed in (*self.seeds, *([further] if case == "ordered" else []))
-            ],
-            "indexing, learned fields",
-        )
+        recipes = [
+            BaselineTrial(case, self.recipe, seed, self.starts)
+            for case in GIVEN
+            for seed in (*self.seeds, *([further] if case == "ordered" else []))
+        ]
+        learned = run_trials(bench, measure_learned, recipes, "indexing, learned fields")
         fields = {
             case: [load_field(folder / FIELD) for folder in own[FOLDER]]
             for case, own in learned.groupby("case")
         }
-        agents = [
-            run_trials(bench, measure_baseline, classical, "indexing, classical fields").rename(
-                columns={"method": "field"}
-            ),
-            learned[learned["seed"] != further].rename(columns={"recipe": "field"}),
-        ]
+        followed = run_trials(bench, measure_baseline, classical, "indexing, classical fields")
+        agents = pd.concat([followed, learned[learned["seed"] != further]], ignore_index=True)
         return {
             "curves": run_trials(bench, measure_curve, curves, "indexing, curves"),
-            "agents": pd.concat(agents, ignore_index=True),
+            "agents": agents.rename(columns={"method": "field"}),
             "changes": field_changes(fields["ordered"], fields["shuffled"]),
         }
 
