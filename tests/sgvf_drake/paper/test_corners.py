@@ -8,8 +8,6 @@ import pytest
 
 from sgvf_drake import learning
 from sgvf_drake.clouds import PointCloud
-from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.experiments.workbench import Workbench
 from sgvf_drake.fields import GuidingField, Perceptron, RobustComposition, ScoreNetwork
 from sgvf_drake.paper.claims import Verdict
 from sgvf_drake.paper.corners import NETWORKS, POLYGONS, Corners, CornerTrial, polygon_cloud
@@ -262,11 +260,6 @@ def test_verdicts_follow_from_the_figures():
 
 
 # The whole of it.
-
-
-def test_square_and_hexagon_are_not_asked_for_twice(tmp_path):
-    with pytest.raises(ConfigurationError, match=r"not \[3, 6\]"):
-        Corners(angle_polygons=[3, 6]).measure(Workbench(tmp_path))
 
 
 def planted_field(cloud, sink):

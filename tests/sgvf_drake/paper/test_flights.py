@@ -7,7 +7,6 @@ import pandas as pd
 import pytest
 
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.experiments.workbench import Workbench
 from sgvf_drake.paper import flights
 from sgvf_drake.paper.claims import Verdict
 from sgvf_drake.paper.flights import Flights, flights_table, motion_of, parts_table
@@ -81,20 +80,6 @@ def test_lost_control_is_a_result(trained, monkeypatch, run_kind, tmp_path):
     assert parts.empty
     assert told["outcome"].tolist() == ["lost control"]
     assert set(found.verdicts.values()) == {Verdict.FAILS}
-
-
-@pytest.mark.parametrize(
-    ("tours", "said"),
-    [
-        (["1"], "there are 2 shapes to fly, but 1 tours"),
-        (["1,a", "1"], "as in '1,2,1', not '1,a'"),
-        (["1,2", "1,3"], "pieces from 1 to 2 as in '1,2,1', not '1,3'"),
-        (["0", "1"], "not '0'"),
-    ],
-)
-def test_a_tour_that_is_none_is_an_error(tours, said, tmp_path):
-    with pytest.raises(ConfigurationError, match=said):
-        Flights(tours=tours).measure(Workbench(tmp_path))
 
 
 def planted(seed=0, legs=2, **changes):

@@ -2,11 +2,8 @@
 
 import numpy as np
 import pandas as pd
-import pytest
 from scipy import stats
 
-from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.experiments.workbench import Workbench
 from sgvf_drake.fields import load_field
 from sgvf_drake.paper import ablation
 from sgvf_drake.paper.ablation import (
@@ -122,10 +119,3 @@ def test_a_small_run_shares_the_score_where_it_may(tmp_path, monkeypatch, run_ki
     np.testing.assert_array_equal(without.score(x), complete.score(x))
     np.testing.assert_array_equal(without.tangent(x), complete.tangent(x))
     assert np.abs(without(x) - complete(x)).max() > 1e-3
-
-
-@pytest.mark.parametrize("variant", ["no-hope", COMPLETE])
-def test_a_variant_that_is_none_is_an_error_before_anything_runs(tmp_path, variant):
-    with pytest.raises(ConfigurationError, match=variant):
-        RecipeAblation(variants=[variant]).measure(Workbench(tmp_path))
-    assert not list(tmp_path.iterdir())

@@ -66,13 +66,6 @@ def test_a_run_leaves_exhibits_logs_scenario_and_summary(load, tmp_path):
     assert 0.0 < stored["trial_s"] < stored["wall_s"]
 
 
-def test_trials_can_be_kept_elsewhere_and_shared(load, fake_scenarios, tmp_path):
-    for name in ("a", "b"):
-        run_scenario(load(exhibit=name), tmp_path / name, trials=tmp_path / "store")
-        assert "trials" not in names_in(tmp_path / name)
-    assert len(fake_scenarios.measured) == 2
-
-
 # What is in the way.
 
 

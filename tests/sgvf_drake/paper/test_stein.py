@@ -9,8 +9,6 @@ import pytest
 from scipy.integrate import quad
 
 from sgvf_drake import learning
-from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.experiments.workbench import Workbench
 from sgvf_drake.fields import GaussianMixture
 from sgvf_drake.paper import stein
 from sgvf_drake.paper.claims import Verdict
@@ -170,12 +168,6 @@ def test_the_kind_runs_on_exact_scores(run_kind, tmp_path):
         *("stein-identity", "stein-log-density"),
         *("stein-squashed-identity", "stein-squashed-mean"),
     ]
-
-
-@pytest.mark.parametrize("draws", [0, CHUNK - 1, CHUNK + 1])
-def test_draws_that_do_not_fill_their_chunks_are_an_error(draws, tmp_path):
-    with pytest.raises(ConfigurationError, match=f"a positive multiple of 20000, not {draws}"):
-        SteinIdentity(draws=draws).measure(Workbench(tmp_path))
 
 
 # Verdicts.
