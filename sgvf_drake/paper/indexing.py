@@ -30,16 +30,7 @@ from sgvf_drake.paper.baselines import (
     follow_case,
     measure_baseline,
 )
-from sgvf_drake.paper.claims import (
-    Claim,
-    Count,
-    Figures,
-    Rows,
-    Share,
-    Span,
-    Verdict,
-    every,
-)
+from sgvf_drake.paper.claims import Claim, Count, Figures, Rows, Share, Span, Verdict, every
 from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
 from sgvf_drake.paper.intervals import SHARE, interval_columns, over_seeds
 from sgvf_drake.paper.methods import CASES, make_case

@@ -13,12 +13,7 @@ from typing import Any
 
 from sgvf_drake.exceptions import ConfigurationError, OutputExistsError
 from sgvf_drake.experiments.provenance import provenance
-from sgvf_drake.experiments.results import (
-    SUMMARY,
-    check_results,
-    result_folder,
-    write_summary,
-)
+from sgvf_drake.experiments.results import SUMMARY, check_results, result_folder, write_summary
 from sgvf_drake.experiments.workbench import Workbench
 from sgvf_drake.paper.claims import Verdict
 from sgvf_drake.paper.report import build_page

@@ -8,16 +8,7 @@ import pandas as pd
 import pytest
 
 from sgvf_drake.paper import findings
-from sgvf_drake.paper.claims import (
-    Claim,
-    Count,
-    Mean,
-    Share,
-    Span,
-    Verdict,
-    every,
-    judge,
-)
+from sgvf_drake.paper.claims import Claim, Count, Mean, Share, Span, Verdict, every, judge
 from sgvf_drake.paper.experiment import Exhibit, save_rows
 
 DOCS = Path(__file__).parents[3] / "docs"

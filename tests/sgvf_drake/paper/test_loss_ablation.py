@@ -6,10 +6,7 @@ import pytest
 
 from sgvf_drake.fields import load_field
 from sgvf_drake.paper import ablation
-from sgvf_drake.paper.ablation import (
-    COMPLETE,
-    FIELDS,
-)
+from sgvf_drake.paper.ablation import COMPLETE, FIELDS
 from sgvf_drake.paper.claims import Verdict
 from sgvf_drake.paper.experiment import FOLDER
 from sgvf_drake.paper.loss_ablation import LossAblation

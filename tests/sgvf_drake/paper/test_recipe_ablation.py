@@ -6,11 +6,7 @@ from scipy import stats
 
 from sgvf_drake.fields import load_field
 from sgvf_drake.paper import ablation
-from sgvf_drake.paper.ablation import (
-    COMPLETE,
-    FIELDS,
-    SPEED_ERROR,
-)
+from sgvf_drake.paper.ablation import COMPLETE, FIELDS, SPEED_ERROR
 from sgvf_drake.paper.claims import Verdict
 from sgvf_drake.paper.recipe_ablation import MEASURES, RecipeAblation, changes_of
 
