@@ -15,7 +15,6 @@ from sgvf_drake.paper.claims import Verdict
 from sgvf_drake.paper.indexing import (
     CurveTrial,
     Indexing,
-    curve_points,
     field_changes,
     make_waypoints,
     measure_curve,
@@ -33,14 +32,6 @@ def test_ordered_and_shuffled_waypoints_are_the_same_points():
     np.testing.assert_array_equal(*(np.unique(c.points, axis=0) for c in (ordered, shuffled)))
     again, _ = make_waypoints(CurveTrial("shuffled", "lagrange", 8, 1))
     assert not np.array_equal(again.points, shuffled.points)
-
-
-@pytest.mark.parametrize("curve", ["fourier", "lagrange"])
-def test_curves_pass_their_waypoints_in_order(curve):
-    cloud = PointCloud(np.array([[0.0, 0.0], [3.0, 1.0], [2.0, 4.0], [-1.0, 2.0]]))
-    x = curve_points(curve, cloud)
-    quarters = x[np.linspace(0, len(x) - 1, 5).astype(int)]
-    np.testing.assert_allclose(quarters, cloud.points[[0, 1, 2, 3, 0]], atol=1e-9)
 
 
 def test_order_decides_the_curve(tmp_path):

@@ -16,21 +16,6 @@ from sgvf_drake.paper.intervals import (
 )
 
 
-def coverage(draw, truth, repeats):
-    """How often the intervals of repeated draws hold the truth."""
-    found = [interval(draw(np.random.default_rng(seed)))[1:] for seed in range(repeats)]
-    return np.mean([low <= truth <= high for low, high in found])
-
-
-@pytest.mark.parametrize("count", [2, 3, 5, 40])
-def test_the_interval_holds_the_mean_as_often_as_it_says(count):
-    repeats = 500
-    # Three standard deviations of a count.
-    slack = 3 * math.sqrt(CONFIDENCE * (1 - CONFIDENCE) / repeats)
-    found = coverage(lambda rng: rng.normal(2.0, 3.0, count), 2.0, repeats)
-    assert found == pytest.approx(CONFIDENCE, abs=slack)
-
-
 def test_the_interval_is_that_of_an_independent_implementation():
     values = np.random.default_rng(3).normal(1.0, 2.0, 7)
     found = stats.ttest_1samp(values, 0.0).confidence_interval(CONFIDENCE)
