@@ -96,32 +96,30 @@ def run_reproduce(
             check_results(out / name, (SUMMARY, SCENARIO_FILE), overwrite=overwrite)
     summary = _save(out, entries, quick, begin)
     for name in chosen:
-        options = {"jobs": jobs, "overwrite": overwrite}
-        failure = _failure(out, name, scenarios[name], progress, **options)
-        entries[name] = (
-            entries[name] | failure if failure else _entry(out / name, scenarios[name], {})
-        )
+
+        def report(stage: str, done: float, total: float, name: str = name) -> None:
+            progress(f"{name}: {stage}", done, total)
+
+        try:
+            run_scenario(
+                scenarios[name],
+                out / name,
+                trials=out / TRIALS,
+                jobs=jobs,
+                overwrite=overwrite,
+                resume=True,
+                progress=report,
+            )
+            entries[name] = _entry(out / name, scenarios[name], {})
+        # Whatever it does wrong, the others are to run.
+        except Exception as error:
+            entries[name] |= {
+                "status": Status.FAILED,
+                "error": f"{type(error).__name__}: {error}",
+                "traceback": traceback.format_exc(),
+            }
         summary = _save(out, entries, quick, begin)
     return summary
-
-
-def _failure(
-    out: Path, name: str, scenario: Scenario, progress: Progress, **options: Any
-) -> Entry:
-    """Runs a scenario; returns why it has failed, or nothing."""
-
-    def report(stage: str, done: float, total: float) -> None:
-        progress(f"{name}: {stage}", done, total)
-
-    try:
-        run_scenario(
-            scenario, out / name, trials=out / TRIALS, resume=True, progress=report, **options
-        )
-    # Whatever it does wrong, the others are to run.
-    except Exception as error:
-        text = f"{type(error).__name__}: {error}"
-        return {"status": Status.FAILED, "error": text, "traceback": traceback.format_exc()}
-    return {}
 
 
 def _load(only: Sequence[str], *, quick: bool) -> dict[str, Scenario]:

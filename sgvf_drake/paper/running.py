@@ -1,6 +1,6 @@
 """Runs a scenario into a folder: tables, logs, figures, and what they come from."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 import json
 from os import PathLike
 from pathlib import Path
@@ -62,7 +62,8 @@ def run_scenario(
     out = Path(out)
     _, earlier = _stored(out)
     own = earlier if resume else []
-    check_results(out, _without([SUMMARY, SCENARIO_FILE], own), overwrite=overwrite)
+    first = [name for name in (SUMMARY, SCENARIO_FILE) if name not in own]
+    check_results(out, first, overwrite=overwrite)
     begin = time.perf_counter()
     # Before the work: code that is edited meanwhile has no part in it.
     origin = _origin(scenario)
@@ -84,7 +85,8 @@ def run_scenario(
         **provenance(),
     }
     names = _result_names(summary)
-    check_results(out, _without(names, own), overwrite=overwrite)
+    foreign = [name for name in names if name not in own]
+    check_results(out, foreign, overwrite=overwrite)
     with result_folder(out, [*names, *earlier], overwrite=overwrite or resume) as folder:
         for exhibit in exhibits:
             exhibit.save(folder)
@@ -127,7 +129,3 @@ def _stored(out: Path) -> tuple[dict[str, Any], list[str]]:
 def _result_names(summary: Mapping[str, Any]) -> list[str]:
     exhibits = [entry["file"] for entry in summary["exhibits"]]
     return [SUMMARY, SCENARIO_FILE, ROWS_FILE, *exhibits, *summary["logs"]]
-
-
-def _without(names: Sequence[str], own: Sequence[str]) -> list[str]:
-    return [name for name in names if name not in own]
