@@ -25,7 +25,7 @@ from sgvf_drake.experiments.workbench import Row, Workbench
 from sgvf_drake.fields import ParametricField
 from sgvf_drake.metrics import default_duration
 from sgvf_drake.paper.claims import Claim, Count, Figures, Rows, Verdict, every
-from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
+from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, check_names, run_trials
 from sgvf_drake.paper.intervals import SHARE, interval, interval_columns, over_seeds
 from sgvf_drake.paper.methods import CASES, LEARNED, METHODS, make_case
 from sgvf_drake.paper.ways import Ways, coverage, effort, errors, find_ways
@@ -165,9 +165,13 @@ class BaselineComparison(Experiment):
         Raises:
             ConfigurationError: There is no such case or method, or none is given.
         """
-        _check("case", self.cases, CASES)
-        _check("method", self.methods, METHODS)
-        _check("seed", self.seeds, self.seeds)
+        for what, names, known in (
+            ("case", self.cases, CASES),
+            ("method", self.methods, METHODS),
+        ):
+            check_names(what, names, known)
+            if not names:
+                raise ConfigurationError(f"the comparison needs a {what}")
         cells = [
             (case, trial)
             for case, method in self._cells()
@@ -251,16 +255,6 @@ class BaselineComparison(Experiment):
     def logs(self, rows: Rows) -> Mapping[str, pd.DataFrame]:
         """Returns all rows."""
         return {"baselines": rows["cells"].drop(columns=FOLDER, errors="ignore")}
-
-
-def _check(what: str, names: Sequence, known: Sequence | Mapping) -> None:
-    if not names:
-        raise ConfigurationError(f"the comparison needs a {what}")
-    for name in names:
-        if name not in known:
-            raise ConfigurationError(
-                f"there is no {what} {name!r} (they are {', '.join(map(str, known))})"
-            )
 
 
 def _table(case: str, cells: pd.DataFrame) -> pd.DataFrame:

@@ -190,17 +190,12 @@ def _of_recipe(rows: Rows, recipe: str, measure: Callable[[Rows], Figures]) -> F
 
 
 def every(*names: str) -> Callable[[Figures], Verdict]:
-    """Returns the rule that all of each `Count` are good; in part: some of any.
-
-    Args:
-        names: The counts; none: all of them.
-    """
+    """Returns the rule that each `Count` of these names is all; in part: some of any."""
 
     def rule(figures: Figures) -> Verdict:
-        chosen = (figures[name] for name in names or figures)
-        counts = [figure for figure in chosen if isinstance(figure, Count)]
+        counts = [count for name in names if isinstance(count := figures[name], Count)]
         return Verdict.when(
-            bool(counts) and all(0 < count.good == count.all for count in counts),
+            all(0 < count.good == count.all for count in counts),
             any(count.good > 0 for count in counts),
         )
 

@@ -6,7 +6,7 @@ reproduction are enough to draw the tables and judge the claims again.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 import json
 from pathlib import Path
@@ -15,6 +15,7 @@ from typing import Any
 from matplotlib.figure import Figure
 import pandas as pd
 
+from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments.results import plain, save_figure
 from sgvf_drake.experiments.workbench import Measure, Workbench
 from sgvf_drake.paper.claims import Claim, Finding, Rows, judge
@@ -79,6 +80,15 @@ class Experiment(ABC):
     def findings(self, rows: Rows) -> list[Finding]:
         """Judges the claims by the rows."""
         return [judge(claim, rows) for claim in self.claims()]
+
+
+def check_names(what: str, names: Iterable[str], known: Iterable[str]) -> None:
+    """Raises a `ConfigurationError` if one of the names is not among those that are known."""
+    for name in names:
+        if name not in known:
+            raise ConfigurationError(
+                f"there is no {what} {name!r} (they are {', '.join(known)})"
+            )
 
 
 def run_trials(

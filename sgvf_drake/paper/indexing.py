@@ -63,6 +63,9 @@ FAR, LONGER = SETTLE_DISTANCE, 1.5
 AGREEMENT = 1.5
 # Agents that succeed, and waypoints that they pass, where a path is followed; and in part.
 MOST, HALF = 0.95, 0.5
+# What is told of the claim that no order is needed, and asked for by its rule.
+NO_ORDER = "order matters no more than the seed"
+FOLLOWED = "shuffled waypoints are followed"
 
 FIGURE_CAPTION = (
     "Top: curves through waypoints in the order in which they are given, on a smooth closed "
@@ -235,7 +238,7 @@ class Indexing(Experiment):
                 SECTION,
                 f"SGVF needs no order of the waypoints (recipe {self.recipe}).",
                 partial(_freedom, recipe=self.recipe),
-                every(),
+                every(NO_ORDER, FOLLOWED),
                 of_paper,
             ),
             Claim(
@@ -367,10 +370,10 @@ def _freedom(rows: Rows, recipe: str) -> Figures:
     own = agents[(agents["case"] == "shuffled") & (agents["field"] == recipe)]
     success = own["success"].min()
     return {
-        "order matters no more than the seed": Count.of([order <= AGREEMENT * seed]),
+        NO_ORDER: Count.of([order <= AGREEMENT * seed]),
         "RMS change of m over the box by another order": float(order),
         "by another seed": float(seed),
-        "shuffled waypoints are followed": Count.of([success >= MOST]),
+        FOLLOWED: Count.of([success >= MOST]),
         "agents that succeed on them, least of the seeds": Share(success),
     }
 

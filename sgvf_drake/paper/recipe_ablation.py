@@ -13,7 +13,6 @@ from functools import partial
 
 import pandas as pd
 
-from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.paper.ablation import (
     FIELDS,
     FOLLOWED,
@@ -25,6 +24,7 @@ from sgvf_drake.paper.ablation import (
 )
 from sgvf_drake.paper.ablation_figures import MeasurePanel
 from sgvf_drake.paper.claims import Claim, Count, Figures, Rows, Verdict
+from sgvf_drake.paper.experiment import check_names
 from sgvf_drake.paper.intervals import POSITIVE, SHARE
 
 COSINE = (-1.0, 1.0)
@@ -108,12 +108,7 @@ class RecipeAblation(Ablation):
         Raises:
             ConfigurationError: If there is no such variant.
         """
-        for variant in self.variants:
-            if variant not in STATEMENTS:
-                raise ConfigurationError(
-                    f"there is no variant {variant!r} to compare (they are "
-                    f"{', '.join(STATEMENTS)})"
-                )
+        check_names("variant", self.variants, STATEMENTS)
         return [
             self.trial(
                 recipe="robust",

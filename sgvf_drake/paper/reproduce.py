@@ -11,11 +11,12 @@ import time
 import traceback
 from typing import Any
 
-from sgvf_drake.exceptions import ConfigurationError, OutputExistsError
+from sgvf_drake.exceptions import OutputExistsError
 from sgvf_drake.experiments.provenance import provenance
 from sgvf_drake.experiments.results import SUMMARY, check_results, result_folder, write_summary
 from sgvf_drake.experiments.workbench import Workbench
 from sgvf_drake.paper.claims import Verdict
+from sgvf_drake.paper.experiment import check_names
 from sgvf_drake.paper.report import build_page
 from sgvf_drake.paper.running import (
     SCENARIO_FILE,
@@ -82,7 +83,9 @@ def run_reproduce(
     """
     begin = time.perf_counter()
     out = Path(out)
-    scenarios = _load(only, quick=quick)
+    check_names("scenario", only, scenario_names())
+    overrides = [QUICK] if quick else []
+    scenarios = {name: load_scenario(name, overrides) for name in scenario_names()}
     chosen = [name for name in scenarios if name in only or not only]
     # Refuses the number of jobs before there is anything in the folder.
     Workbench(out / TRIALS, jobs)
@@ -120,16 +123,6 @@ def run_reproduce(
             }
         summary = _save(out, entries, quick, begin)
     return summary
-
-
-def _load(only: Sequence[str], *, quick: bool) -> dict[str, Scenario]:
-    names = scenario_names()
-    unknown = [name for name in only if name not in names]
-    if unknown:
-        raise ConfigurationError(
-            f"there is no scenario {unknown[0]!r} (they are {', '.join(names)})"
-        )
-    return {name: load_scenario(name, [QUICK] if quick else []) for name in names}
 
 
 def _earlier(
