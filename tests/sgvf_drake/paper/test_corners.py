@@ -311,10 +311,3 @@ def test_agents_on_fields_with_a_sink_near_a_corner_are_found_there(
     for name in NETWORKS:
         (trap,) = found.rows[POLYGONS].iloc[0][name]["traps"]
         assert trap["offset"] == pytest.approx(0.3, abs=0.02)
-
-
-@pytest.mark.full
-def test_the_kind_trains_its_fields(run_kind, tmp_path):
-    kind = Corners([], starts=4, patience=1.0, effort=0.02, seeds=[0])
-    fields = run_kind(kind, tmp_path).logs["corner_fields"]
-    assert (fields["stalled"] >= fields["stalled_near"]).all()

@@ -36,6 +36,15 @@ def test_every_scenario_is_whole_and_has_a_quick_case(name, tmp_path):
     assert len(quick.experiment.seeds) <= len(full.experiment.seeds)
 
 
+@pytest.mark.full
+@pytest.mark.parametrize("name", scenario_names())
+def test_every_quick_case_is_measured_drawn_and_told(name, tmp_path, run_kind):
+    found = run_kind(load_scenario(name, [QUICK]).experiment, tmp_path)
+    assert found.figures
+    assert found.tables
+    assert found.verdicts
+
+
 def test_every_kind_has_a_scenario():
     used = {type(load_scenario(name).experiment) for name in scenario_names()}
     assert used == set(KINDS)

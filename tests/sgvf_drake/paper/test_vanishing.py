@@ -257,12 +257,3 @@ def test_the_kind_runs_on_trained_fields(
     assert (found.logs["score_zeros"].groupby("score")["index"].sum() == 1).all()
     assert found.verdicts["vanishing-indices"] in (HOLDS, PARTLY)
     assert found.verdicts["vanishing-singularity-free"] is HOLDS
-
-
-@pytest.mark.full
-def test_the_kind_trains_its_fields(run_kind, tmp_path):
-    kind = ScoreVanishing(["square"], ["square"], parametric_points=60, effort=0.1, seeds=[0])
-    # Topology does not ask how long a network was trained.
-    counts = run_kind(kind, tmp_path).tables["vanishing_counts"]
-    assert counts["on the border"].tolist() == ["1", "1"]
-    assert counts["regions as topology has them"].tolist() == ["2 of 2", "2 of 2"]
