@@ -228,6 +228,8 @@ def findings(means):
         ("ordered", {("ordered", "parametric"): THIN}, FAILS),
         ("shuffled", {("shuffled", "pursuit"): BAD, ("shuffled", "implicit"): GOOD}, HOLDS),
         ("shuffled", {("shuffled", "pursuit"): BAD, ("shuffled", "fourier"): HALF}, PARTLY),
+        # Waypoints that are left out are no broken curve.
+        ("shuffled", {("shuffled", "pursuit"): (1.0, 0.0)}, FAILS),
         ("unordered", {("shuffled", "sorted"): HALF, ("noisy", "sorted"): BAD}, HOLDS),
         ("unordered", {("shuffled", "sorted"): GOOD, ("noisy", "sorted"): BAD}, PARTLY),
         ("unordered", {("shuffled", "sorted"): GOOD, ("noisy", "sorted"): GOOD}, FAILS),
@@ -235,6 +237,7 @@ def findings(means):
         ("corners", {("corners", "fourier"): GOOD}, FAILS),
         ("sgvf", {("noisy", "paper"): GOOD, ("pieces", "paper"): HALF}, PARTLY),
         ("advantage", {("pieces", "robust"): GOOD, ("pieces", "sorted"): GOOD}, FAILS),
+        ("advantage", {("pieces", "robust"): GOOD, ("pieces", "sorted"): (0.95, 1)}, FAILS),
         ("advantage", {("pieces", "robust"): GOOD, ("pieces", "sorted"): THIN}, HOLDS),
         ("advantage", {("pieces", "robust"): HALF, ("pieces", "sorted"): THIN}, PARTLY),
         ("advantage", {("pieces", "robust"): (0.4, 1), ("pieces", "sorted"): THIN}, FAILS),
