@@ -98,31 +98,33 @@ def run_reproduce(
         if entries[name]["digest"] is None:
             check_results(out / name, (SUMMARY, SCENARIO_FILE), overwrite=overwrite)
     summary = _save(out, entries, quick, begin)
+    options = {"jobs": jobs, "overwrite": overwrite}
     for name in chosen:
-
-        def report(stage: str, done: float, total: float, name: str = name) -> None:
-            progress(f"{name}: {stage}", done, total)
-
-        try:
-            run_scenario(
-                scenarios[name],
-                out / name,
-                trials=out / TRIALS,
-                jobs=jobs,
-                overwrite=overwrite,
-                resume=True,
-                progress=report,
-            )
-            entries[name] = _entry(out / name, scenarios[name], {})
-        # Whatever it does wrong, the others are to run.
-        except Exception as error:
-            entries[name] |= {
-                "status": Status.FAILED,
-                "error": f"{type(error).__name__}: {error}",
-                "traceback": traceback.format_exc(),
-            }
+        entries[name] = _run(
+            out / name, scenarios[name], entries[name], progress, trials=out / TRIALS, **options
+        )
         summary = _save(out, entries, quick, begin)
     return summary
+
+
+def _run(
+    folder: Path, scenario: Scenario, entry: Entry, progress: Progress, **options: Any
+) -> Entry:
+    """Runs a scenario; returns its entry then, with the error if it has failed."""
+
+    def report(stage: str, done: float, total: float) -> None:
+        progress(f"{folder.name}: {stage}", done, total)
+
+    try:
+        run_scenario(scenario, folder, resume=True, progress=report, **options)
+    # Whatever it does wrong, the others are to run.
+    except Exception as error:
+        return entry | {
+            "status": Status.FAILED,
+            "error": f"{type(error).__name__}: {error}",
+            "traceback": traceback.format_exc(),
+        }
+    return _entry(folder, scenario, {})
 
 
 def _earlier(
