@@ -259,6 +259,25 @@ def test_verdicts_follow_from_the_figures():
     assert (found["shallow-square"], found["hexagon-less"]) == (PARTLY, FAILS)
 
 
+def test_tables_tell_where_agents_stall_and_where_traps_sit():
+    trials = [planted_trial(corners, 0, {"shallow_4_stalled": 0.25}, []) for corners in (6, 4)]
+    places = zip((-0.3, -0.1, 0.2, None), (0.1, 0.0, -0.1, -0.2), strict=True)
+    trials[1]["shallow"]["traps"] = [
+        {"along": along, "outside": outside, "distance": 0.2, "score": 0.01}
+        for along, outside in places
+    ]
+    stalls, traps = (
+        each.content for each in Corners().tables({POLYGONS: pd.DataFrame(trials)})
+    )
+    assert stalls["angle, degrees"].tolist() == 3 * [90.0] + 3 * [120.0]
+    assert stalls["stalled, % mean"].tolist() == [25, 0, 0, 0, 0, 0]
+    assert stalls["near, of the path, %"].tolist() == 3 * [12.5] + 3 * [25.0]
+    assert traps["before / after / clash"].tolist() == ["2 / 1 / 1", *5 * ["0 / 0 / 0"]]
+    assert traps["traps"].tolist() == [4, 0, 0, 0, 0, 0]
+    assert traps["outside"].tolist() == [1, 0, 0, 0, 0, 0]
+    assert traps["distance, U"].iloc[0] == pytest.approx(0.2)
+
+
 # The whole of it.
 
 

@@ -123,8 +123,11 @@ def test_a_flight_that_is_not_completed_is_told_of():
     branches, _ = Flights(paper_seeds=[]).findings({"flights": table})
     assert branches.evidence.startswith("flights that followed all of their pieces: 1 of 3; ")
     assert "the others: concentric-flight seed 7, 1 of 2 pieces, " in branches.evidence
-    told = flights_table(table)["outcome"].tolist()
-    assert told == ["completed", "1 of 2 pieces", "strayed"]
+    told = flights_table(table)
+    assert told["outcome"].tolist() == ["completed", "1 of 2 pieces", "strayed"]
+    assert told["RMS, mm"].tolist() == [5, 5, 60]
+    assert told["speed, m/s"].tolist() == 3 * ["0.40-0.50"]
+    assert told["force, %"].tolist() == 3 * ["21.7-26.1"]
 
 
 def test_parts_are_told_in_the_order_of_the_flight():

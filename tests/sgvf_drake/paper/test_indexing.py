@@ -83,6 +83,7 @@ def test_the_kind_runs_on_fields_that_are_hardly_trained(tmp_path, monkeypatch, 
     assert len(curves) == 6
     assert agents["field"].tolist() == 3 * ["Fourier", "Lagrange"] + 3 * ["SGVF, exact"]
     assert order["change"].tolist() == ["another order", "another seed"]
+    assert set(found.rows["agents"]["seed"]) == {0}
     # One seed more is trained on the ordered waypoints, to compare with.
     fields = [load_field(file) for file in tmp_path.rglob("field.safetensors")]
     assert sorted(field.seed for field in fields) == [0, 0, 0, 1]

@@ -138,7 +138,7 @@ def test_tables_are_over_the_seeds(small_run):
     fields = small_run.rows["fields"]
     table = pd.concat([fields, fields.assign(all_lap=False, lap=0.5)]).assign(rms_u=[0.1, None])
     history = pd.DataFrame(
-        {"stage": "tangent", "iteration": range(20), "unit": 0.25, "total": 0.5}
+        {"stage": "tangent", "iteration": range(20), "unit": 0.25, "total": range(20, 0, -1)}
     )
     losses = [tangent_courses(history), tangent_courses(history.assign(unit=0.75))]
     tables = Overview().tables({"fields": table.assign(losses=losses)})
@@ -147,4 +147,5 @@ def test_tables_are_over_the_seeds(small_run):
     assert found["lap mean"].tolist() == [0.75]
     assert found["RMS, U mean"].tolist() == [0.1]
     assert means["loss"].tolist() == ["unit", "total"]
-    assert means["last tenth"].tolist() == [0.5, 0.5]
+    assert means["first tenth"].tolist() == [0.5, 19.5]
+    assert means["last tenth"].tolist() == [0.5, 1.5]
