@@ -157,7 +157,7 @@ def plot_cross_track(
 def plot_intervals(
     axes: Axes, x: ArrayLike, intervals: Sequence[Sequence[float]], **style: Any
 ) -> None:
-    """Draws at each x a mean with its interval (mean, low, high), without one where it is NaN."""
+    """Draws at each x a mean with its interval (mean, low, high); NaN: the mean alone."""
     mean, low, high = np.array(intervals, dtype=np.float64).T
     bars = np.nan_to_num(np.stack([mean - low, high - mean]))
     axes.errorbar(x, mean, bars, capsize=3, **style)
