@@ -23,6 +23,7 @@ from sgvf_drake.exceptions import ConfigurationError, PointCloudError
 from sgvf_drake.paths.assembly import Graph, Signature, assemble
 from sgvf_drake.paths.draft import Direction, Draft
 from sgvf_drake.paths.loops import Holes, find_holes
+from sgvf_drake.paths.meetings import strands_pass
 from sgvf_drake.paths.network import PathNetwork
 from sgvf_drake.paths.ridge import THINNING_CELL, find_ridge, thin
 from sgvf_drake.paths.skeleton import grow_skeleton
@@ -215,6 +216,8 @@ def _vote(
         return chosen, (
             f"only {seen} of {len(scales)} scales show these paths; {_remedy(taken)}"
         )
+    if strands_pass(chosen.graph, points, chosen.sigma):
+        return chosen, f"strands that meet may only pass each other; {_remedy(taken)}"
     rivals = [s for s, ks in pool.items() if s != taken and len(ks) >= len(pool[taken])]
     if rivals:
         return chosen, f"as many scales show {rivals[0]}; {_remedy(taken)}"
