@@ -3,8 +3,8 @@
 A ridge merges strands where they are nearer to each other than its scale, and parts them
 again, as those that cross do, or those that share a stretch.  But the waypoints around still
 show which.  Two curves are fitted to them, in each way in which two can join four arms.  Where
-curves that pass each other come nearer to the waypoints than those that cross, or than the
-shared stretch, the waypoints deny what the scale shows.
+curves that pass each other come nearer to the waypoints than those that cross, or where two
+come much nearer than the shared stretch, the waypoints deny what the scale shows.
 
 All lengths are in units of the cloud (U).
 """
@@ -26,6 +26,10 @@ ROUNDS = 4
 
 FEWEST_AROUND = 12
 """With fewer waypoints around, two curves of three coefficients each prove nothing."""
+
+CLEARLY = 0.6
+"""Two curves, which fit scatter better than one, come nearer by this than to one strand: by .05
+to .55 where two circles nearly touch, by .7 and more at the junctions of a roundabout."""
 
 
 def strands_pass(graph: Graph, points: FloatArray, sigma: float) -> bool:
@@ -68,8 +72,7 @@ def _pass_along_link(
     if beside.sum() < FEWEST_AROUND:
         return False
     shared = np.sqrt((foot.distance[beside] ** 2).mean())
-    crossing, *passing = _aside(_lines(graph, arms, sigma), points[beside], sigma)
-    return min(passing) < min(shared, crossing)
+    return min(_aside(_lines(graph, arms, sigma), points[beside], sigma)) < CLEARLY * shared
 
 
 def _lines(graph: Graph, arms: Sequence[Arm], sigma: float) -> dict[Arm, FloatArray]:
