@@ -102,8 +102,8 @@ def _fitted(curves: "Sequence[Curve]", around: FloatArray, sigma: float) -> floa
     """
     for _ in range(ROUNDS):
         aside = np.stack([curve.aside(around) for curve in curves])
-        for own, distance, curve in zip(aside.argmin(axis=0) == [[0], [1]], aside, curves):
-            curve.fit(around[own & (distance < sigma)])
+        for k, curve in enumerate(curves):
+            curve.fit(around[(aside.argmin(axis=0) == k) & (aside[k] < sigma)])
     aside = np.min([curve.aside(around) for curve in curves], axis=0)
     return float(np.sqrt((np.minimum(aside, sigma) ** 2).mean()))
 
@@ -120,7 +120,7 @@ class Curve:
         self.fit(np.concatenate([first, second]))
 
     def _split(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The powers of the distance along the chord, (n, 3), and what lies across it, (n, d)."""
+        """The powers of the distance along the chord, (n, 3), and the rest across it, (n, d)."""
         away = points - self._middle
         t = away @ self._along
         return np.stack([np.ones_like(t), t, t**2], axis=1), away - np.outer(t, self._along)

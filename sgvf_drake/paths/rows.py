@@ -20,8 +20,9 @@ WIDE = 0.9
 """Scatter in mean steps along a line from which on rows are told: that of two strands .9 of
 their spacing apart."""
 
-NEXT = 2
-"""The nearest waypoints whose directions are looked at: on a strand, both neighbours."""
+NEXT, TIED = 2, 5
+"""The nearest waypoints whose directions are looked at: on a strand, both neighbours.  With the
+waypoint itself, five may be as near as them on a square lattice."""
 
 ALONG = np.cos(np.radians(30.0))
 """Cosine of the angle to the line within which a third of all directions in the plane lie."""
@@ -31,7 +32,8 @@ SHARE_ALONG = 0.48
 strips of several widths; of strands one spacing apart, .5 and more."""
 
 SMALL = 1e-3
-"""Half of the step along a line that tells its direction, in its length."""
+"""Relative: half of the step along a line that tells its direction, and what distances may
+differ by that are the same."""
 
 
 def lie_in_rows(
@@ -58,8 +60,11 @@ def lie_in_rows(
         ]
         tangent[on] = ends[1] - ends[0]
     distinct, first = np.unique(points, axis=0, return_index=True)
-    _, nearest = cKDTree(distinct).query(distinct, k=NEXT + 1)
+    distance, nearest = cKDTree(distinct).query(distinct, k=min(TIED, len(distinct)))
     away = distinct[nearest[:, 1:]] - distinct[:, None]
     along = np.abs((away * tangent[first, None]).sum(axis=2))
     size = np.linalg.norm(away, axis=2) * np.linalg.norm(tangent[first], axis=1)[:, None]
-    return bool((along > ALONG * size)[own[first]].mean() > SHARE_ALONG)
+    # On a lattice, several are as near as the second one.
+    counted = distance[:, 1:] <= (1 + SMALL) * distance[:, [min(NEXT, distance.shape[1] - 1)]]
+    share = ((along > ALONG * size) & counted).sum(axis=1) / counted.sum(axis=1)
+    return bool(share[own[first]].mean() > SHARE_ALONG)
