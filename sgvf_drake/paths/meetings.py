@@ -120,7 +120,7 @@ class Curve:
         self.fit(np.concatenate([first, second]))
 
     def _split(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The powers of the distance along the chord, (n, 3), and the rest across it, (n, d)."""
+        """Powers of the distance along the chord, (n, 3), and the rest across it, (n, d)."""
         away = points - self._middle
         t = away @ self._along
         return np.stack([np.ones_like(t), t, t**2], axis=1), away - np.outer(t, self._along)
