@@ -261,7 +261,7 @@ def _merge_overlaps(graph: Graph, sigma: float) -> None:
         for k, both in links_of_two(graph):
             if graph.strands[k].length > LONGEST_OVERLAP * sigma:
                 break
-            if min(_worst_turn(graph, pairing, sigma) for pairing in both) < STRAIGHT_TURN:
+            if min(worst_turn(graph, pairing, sigma) for pairing in both) < STRAIGHT_TURN:
                 _contract(graph, k)
                 merged = True
                 break
@@ -296,7 +296,7 @@ def _pair_arms(graph: Graph, sigma: float) -> None:
         if len(arms) % 2 or not 4 <= len(arms) <= MOST_ARMS:
             continue
         ranked = sorted(
-            ((_worst_turn(graph, pairing, sigma), pairing) for pairing in pairings(arms)),
+            ((worst_turn(graph, pairing, sigma), pairing) for pairing in pairings(arms)),
             key=lambda item: item[0],
         )
         worst, best = ranked[0]
@@ -317,7 +317,8 @@ def pairings(arms: Sequence[Arm]) -> Iterator[Pairing]:
             yield [(first, other), *pairs]
 
 
-def _worst_turn(graph: Graph, pairing: Pairing, sigma: float) -> float:
+def worst_turn(graph: Graph, pairing: Pairing, sigma: float) -> float:
+    """By how many degrees the arms of a pairing turn at most."""
     return max(_turn(graph, a, b, sigma) for a, b in pairing)
 
 

@@ -14,7 +14,15 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from sgvf_drake.arrays import FloatArray
-from sgvf_drake.paths.assembly import ARM_FAR, ARM_NEAR, Arm, Graph, links_of_two, pairings
+from sgvf_drake.paths.assembly import (
+    ARM_FAR,
+    ARM_NEAR,
+    Arm,
+    Graph,
+    links_of_two,
+    pairings,
+    worst_turn,
+)
 from sgvf_drake.paths.polyline import arc_lengths, points_at
 from sgvf_drake.paths.reference import Piece, ReferencePath
 
@@ -26,6 +34,9 @@ ROUNDS = 4
 
 FEWEST_AROUND = 12
 """With fewer waypoints around, two curves of three coefficients each prove nothing."""
+
+MOST_TURN = 90.0
+"""Strands that run side by side, or share a stretch, leave it by less than this, in degrees."""
 
 CLEARLY = 0.6
 """Two curves, which fit scatter better than one, come nearer by this than to one strand: by .05
@@ -47,6 +58,7 @@ def strands_pass(graph: Graph, points: FloatArray, sigma: float) -> bool:
     ) or any(
         _pass_along_link(graph, k, [arm for pair in both[0] for arm in pair], points, sigma)
         for k, both in links_of_two(graph)
+        if max(worst_turn(graph, pairing, sigma) for pairing in both) < MOST_TURN
     )
 
 

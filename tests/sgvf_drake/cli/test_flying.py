@@ -9,7 +9,8 @@ import pandas as pd
 import pytest
 
 from systems import Mode, SensorParameters
-from tests.fields import exact_field as exact_field_at, linear_network
+from tests.fields import exact_field as exact_field_at
+from tests.fields import linear_network
 from tests.helpers import circle, ink, names_in, summary_of
 
 # The circles have radii of 2 and 4 units of the waypoints; in m a unit and m/s.

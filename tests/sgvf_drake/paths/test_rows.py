@@ -27,7 +27,7 @@ def coverage(rows: int, distance: float, turns: bool) -> Array:
 
 
 def is_unsure_or_right(points: Array, rows: int, distance: float) -> bool:
-    """Whether one serpentine is found, or the rows alone, or it is said that they are unsure."""
+    """Whether one serpentine is found, or the rows alone, or it says that it is unsure."""
     try:
         network = find_paths(PointCloud(points))
     except PointCloudError:
