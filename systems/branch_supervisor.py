@@ -128,7 +128,9 @@ def BranchSupervisor_(T: type) -> Any:  # noqa: D103 (the class below says it)
         tour that was interrupted by another wanted branch goes on where it was.
 
         The abstract parameter (index `route_index`) holds the last route that was commanded,
-        an `Order`, or None.  The discrete state is the supervisor's `Memory`.  The commands are direct
+        an `Order`, or None.
+
+        The discrete state is the supervisor's `Memory`.  The commands are direct
         feed-through.  Under AutoDiffXd they have the derivatives for a given memory; what
         the supervisor decides and plans has none.
 

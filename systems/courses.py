@@ -15,8 +15,7 @@ from sgvf_drake.paths.navigator import Navigator, NavigatorState
 from sgvf_drake.paths.planning import connection
 
 STEP = 0.125
-"""Headings, and the nearest place on an edge, are worked out in steps of this part of the memory
-length."""
+"""Headings, and places on an edge, are found in steps of this part of the memory length."""
 
 KEPT_WAYS = 32
 """Ways from an edge to a course that are kept."""
@@ -77,7 +76,7 @@ class Course:
 
     def At(self, arc: float) -> Spot:
         """Returns the place at an arc length in m."""
-        return _Spot(self.navigator.at(np.array([arc])))
+        return _Spot(self.navigator.at(np.array([arc], np.float64)))
 
     def OnEdge(self, index: int, position: FloatArray) -> Spot:
         """Returns the place on the edge of an index nearest to a position (d,)."""
@@ -129,7 +128,7 @@ class Course:
         count = math.ceil(length / (STEP * self.memory_length))
         step = length / count
         places = step * (np.arange(count) + 0.5)
-        intended = self.navigator.direction(self.navigator.at(places))
+        intended = self.navigator.direction(self.navigator.at(np.asarray(places, np.float64)))
         share = -math.expm1(-step / self.memory_length)
         h = intended[0]
         for _ in range(1 + self.itinerary.closed):
