@@ -97,12 +97,10 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             name: GuidanceSystem
             input_ports:
             - state
-            - intended_direction (with a directed field)
             output_ports:
             - velocity_command
             - acceleration_feedforward
             - speed
-            - heading (with a directed field)
 
         `state` (12) is QuadrotorPlant's, in metres, radians and seconds; z is up.
 
@@ -116,12 +114,12 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
         `speed` (1) is the parameter of that name, in m/s.
 
         A directed field m(x, g) is followed with g = h, a heading that is remembered in the
-        continuous state (d), of no unit and of length at most 1.  It turns to
+        continuous state (d), of no unit and of length at most 1.  It turns to a further input,
         `intended_direction` (d), or, where that is zero or not connected, to the tangent of
         the strand that is followed: the vehicle then goes straight on.  It does so over the
-        distance `memory_length` of the field.  `heading` (d) is that state; a vehicle whose
-        heading is zero follows no network, so see `SetHeading`.  The rate of the heading is
-        part of the feed-forward.
+        distance `memory_length` of the field.  A further output, `heading` (d), is that
+        state; a vehicle whose heading is zero follows no network, so see `SetHeading`.  The
+        rate of the heading is part of the feed-forward.
 
         A field of dimension 2 guides x and y, and the altitude is held by a velocity
         command ``ALTITUDE_GAIN (altitude - z)``, smoothly limited to `MAX_CLIMB_RATE` by a

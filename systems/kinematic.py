@@ -44,7 +44,6 @@ def KinematicGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
             name: KinematicGuidance
             input_ports:
             - positions
-            - intended_directions (with the motion of a directed field)
             output_ports:
             - velocities
 
@@ -53,8 +52,8 @@ def KinematicGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
 
         With the motion of a directed field (`DirectedField.with_memory`), of dimension d, a
         position is one of d / 2 coordinates and as many of the agent's heading.  The headings
-        turn to `intended_directions` (n d / 2), or, where such a direction is zero or the port
-        is not connected, to the tangent of the strand that is followed.
+        turn to a further input, `intended_directions` (n d / 2), or, where such a direction is
+        zero or the port is not connected, to the tangent of the strand that is followed.
 
         The one numeric parameter (index `parameter_index`) is the speed.
 

@@ -175,6 +175,8 @@ class Navigator:
             passes = section.node is not None and (self._closed or edge + 1 < len(ends))
             following = lengths[(edge + 1) % len(ends)] if passes else 0.0
             ceiling.append(ends[edge] + following)
+        if not self._closed:
+            floor = [max(arc, 0.0) for arc in floor]
         return np.array([*floor, floor[-1]]), np.array([*ceiling, it.length])
 
     def _turns_round(self, number: int) -> float | None:

@@ -321,6 +321,7 @@ def _travelled_twice(network: PathNetwork, edges: list[int]) -> set[int]:
     twice: set[int] = set()
     for one, other in nx.min_weight_matching(pairs):
         for a, b in itertools.pairwise(ways[one][1][other]):
-            # Of parallel edges the shortest.  An edge on two of the paths is on neither.
-            twice ^= {min(graph[a][b], key=lambda k: network.edges[k].length)}
+            # Of parallel edges the shortest.  No edge is on two of the paths: without it they
+            # would pair their ends in less.
+            twice.add(min(graph[a][b], key=lambda k: network.edges[k].length))
     return twice

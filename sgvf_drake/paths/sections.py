@@ -31,7 +31,7 @@ MARGIN = 0.88
 """Of the distance from a node at which the exit takes over, what is used."""
 
 END = 1.5
-"""An end is reached this many sigma before it, for agents come to rest before it."""
+"""An end, and a target, is reached this many sigma before it: agents rest before an end."""
 
 STEP = 0.25
 """Bends are looked at this many sigma apart, on chords of one sigma."""
@@ -81,9 +81,8 @@ def sections(
 ) -> tuple[Section, ...]:
     """Cuts an itinerary into sections.
 
-    About a node g is the direction of the exit.  Between nodes it is that of the chords
-    of bends.  The last guard of an itinerary that ends at an end of its path lies as far
-    before it as where agents turn round.
+    About a node g is the direction of the exit.  Between nodes it is that of the chords of
+    bends.  The last guard of an open itinerary lies before its end, as where agents turn round.
 
     Args:
         itinerary: The itinerary.
@@ -107,7 +106,7 @@ def sections(
     for k, (begin, end) in enumerate(zip(itinerary.starts, ends, strict=True)):
         before = passages[k - 1] if k or itinerary.closed else None
         found += _on_edge(itinerary, k, (float(begin), float(end)), before, passages[k], sigma)
-    if not itinerary.closed and is_end(itinerary, itinerary.nodes[-1]):
+    if not itinerary.closed:
         found = _stopped(found, max(itinerary.length - END * sigma, itinerary.length / 2))
     return tuple(found)
 

@@ -22,6 +22,8 @@ import pytest
 import sgvf_drake
 from sgvf_drake.fields import GaussianMixture
 from sgvf_drake.lyapunov import LyapunovFunction
+from sgvf_drake.paths.itinerary import Itinerary
+from sgvf_drake.paths.navigator import Navigator
 import systems
 from systems import (
     DEFAULT_GAINS,
@@ -38,6 +40,7 @@ from systems import (
     MotionCapture,
     QuadrotorGeometry,
     QuadrotorParameters,
+    RouteNavigator,
     Se3Controller,
     SensorParameters,
     StateEstimator,
@@ -45,6 +48,7 @@ from systems import (
 from systems.branch_supervisor import DEFAULT_HOLD_AFTER
 from systems.scalars import ToVector
 from systems.supervision import HOLD_POSITION, Memory
+from tests.networks import straight_network
 
 from .flying import LAP, UNIT
 
@@ -148,6 +152,13 @@ COMMANDS = {
     "acceleration_feedforward": np.array([0.2, 0.4, -0.1]),
 }
 
+EAST_THEN_NORTH = Itinerary.along(
+    [1, 2],
+    straight_network(
+        [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [2.0, 0.0]], [(0, 1), (1, 2), (1, 3)]
+    ),
+)
+
 # Constructor arguments are nowhere the defaults, so that a forgotten one shows.
 CASES = {
     "GuidanceSystem": Case(
@@ -220,6 +231,15 @@ CASES = {
         },
         {"Branch": HOLD_POSITION, "Laps": 1.2, "HoldAfter": 0.1, "LandAfter": 0.12},
         flown_supervisor(),
+        counts=False,
+    ),
+    "RouteNavigator": Case(
+        lambda _: RouteNavigator(Navigator(EAST_THEN_NORTH, 0.1), 2, 0.05),
+        "nothing",
+        # One agent is about to turn, the other has turned; both are farther than the state.
+        {"positions": np.array([0.8, 0.0, 1.0, 0.0, 1.0, 0.4, 0.0, 1.0])},
+        {},
+        np.array([0.0, 1.0, 0.7, 1.1, 0.0, 0.0]),
         counts=False,
     ),
 }

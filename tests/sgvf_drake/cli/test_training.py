@@ -205,12 +205,41 @@ def test_a_network_that_was_found_is_trained_on_and_kept(run, inputs, tmp_path):
     assert field.network.length == PathNetwork.load(found / "network.json").length
 
 
-def test_paths_that_cross_are_refused_unless_anyway(run, refused, tmp_path):
+@pytest.fixture
+def eight(tmp_path):
     angle = np.linspace(0, 2 * np.pi, 300, endpoint=False)
     eight = pd.DataFrame({"x": 3 * np.sin(angle), "y": 3 * np.sin(2 * angle) / 2})
     eight.to_csv(tmp_path / "eight.csv", index=False)
-    few = ("--recipe", "exact", "--tangent-iterations", 1, "--max-restarts", 0)
-    command = ("train", "--points", tmp_path / "eight.csv", *few, "--out", tmp_path / "out")
+    return tmp_path / "eight.csv"
+
+
+def test_paths_that_cross_get_a_directed_field(run, refused, eight, tmp_path):
+    out = tmp_path / "out"
+    command = ("train", "--points", eight, "--recipe", "exact", "--out", out)
+    assert run(*command) == 0
+    summary = summary_of(out)
+    assert summary["directed"]
+    assert summary["self_check_passed"]
+    assert [piece["is"] for piece in summary["pieces"]] == [
+        "closed path, length 18.29, with 1 crossing"
+    ]
+    assert run("follow", out, "--out", tmp_path / "follow", "--starts", 16) == 0
+    followed = summary_of(tmp_path / "follow")
+    assert followed["lap_fraction"] == followed["straight_fraction"] == 1
+    assert followed["cross_track_rms"] < 0.01 * followed["unit_length"]
+    # What knows no directed fields yet says so.
+    for name in ("verify", "certify", "singularities"):
+        line = refused(name, out, "--out", tmp_path / name)
+        assert "directed field m(x, g)" in line
+        assert not (tmp_path / name).exists()
+    assert "no edge 7" in refused("follow", out, "--out", tmp_path / "no", "--route", "7")
+    line = refused("follow", out, "--out", tmp_path / "no", "--reference", eight)
+    assert "measured against its own network" in line
+
+
+def test_paths_that_cross_are_refused_by_the_recipe_of_the_paper(run, refused, eight, tmp_path):
+    few = ("--tangent-iterations", 1, "--score-iterations", 1, "--recipe", "paper")
+    command = ("train", "--points", eight, *few, "--out", tmp_path / "out")
     line = refused(*command)
     assert "piece 1 is a closed path, length 18.29, with 1 crossing" in line
     assert "--anyway" in line

@@ -428,13 +428,16 @@ def test_a_network_is_trained_on_as_it_is(concentric):
         train(network, TrainingConfig(open=True))
 
 
-def test_paths_that_branch_are_refused_unless_anyway():
+def test_paths_that_branch_are_refused_where_no_directed_field_is_learned():
     radius = np.linspace(0, 4, 60)
     arms = [np.outer(radius, [np.cos(a), np.sin(a)]) for a in np.radians([90, 210, 330])]
     cloud = PointCloud(np.concatenate(arms))
     with pytest.raises(ConfigurationError, match=r"network, .* with 1 junction, 3 ends"):
-        train(cloud, short(1))
-    assert train(cloud, short(1, anyway=True)).network.count("junction") == 1
+        train(cloud, short(1, recipe="paper"))
+    for recipe in RECIPES:
+        result = train(cloud, short(1, recipe=recipe, anyway=True))
+        assert result.network.count("junction") == 1
+        assert result.guiding_field is result.field
 
 
 # With a score that was trained before.

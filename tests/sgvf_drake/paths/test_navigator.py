@@ -69,12 +69,12 @@ def test_sections_tile_the_line_and_keep_near_its_tangent(name):
     itinerary = covering(network)
     sigma = SIGMA * network.unit_length
     _, end = check_sections(itinerary, sigma)
-    # The spiral ends at an end, where agents come to rest before they reach it.
+    # Agents come to rest before they reach the end of the spiral.
     rest = 0.0 if itinerary.closed else 1.5 * sigma
     assert end == pytest.approx(itinerary.length - rest)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30, derandomize=True, deadline=None)
 @given(st.integers(0, 10**6), st.integers(4, 9), st.integers(0, 6))
 def test_sections_of_tours_over_random_networks(seed, size, extra):
     network = random_network(seed, size, extra)
@@ -92,7 +92,7 @@ def test_sections_of_tours_over_random_networks(seed, size, extra):
         np.testing.assert_allclose(after.direction, tangent, atol=1e-6)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40, derandomize=True, deadline=None)
 @given(st.integers(0, 10**6), st.integers(4, 9), st.integers(0, 6))
 def test_short_and_cut_itineraries_are_completed(seed, size, extra):
     """Also those that end within sigma, or within the turn at a node."""
@@ -107,9 +107,7 @@ def test_short_and_cut_itineraries_are_completed(seed, size, extra):
     itinerary = shortest(network, start, target)
     sigma = SIGMA * network.unit_length
     _, end = check_sections(itinerary, sigma)
-    at_end = itinerary.nodes[-1] is not None and network.nodes[itinerary.nodes[-1]].degree == 1
-    stop = max(itinerary.length - 1.5 * sigma, itinerary.length / 2)
-    assert end == pytest.approx(stop if at_end else itinerary.length)
+    assert end == pytest.approx(max(itinerary.length - 1.5 * sigma, itinerary.length / 2))
     navigator = Navigator(itinerary, sigma)
     state = navigator.start(itinerary.line.at(np.zeros(1)))
     for arc in np.linspace(0, itinerary.length, 2 + int(itinerary.length / (0.2 * sigma))):
@@ -275,11 +273,16 @@ def test_a_completed_itinerary_leaves_no_direction():
     network = arms(90, 0)
     itinerary = shortest(network, [-3.0, 0.1], [0.0, 2.0])
     navigator = Navigator(itinerary, 0.1)
-    state = navigator.start(np.array([[-3.0, 0.0], [0.0, 1.99]]))
+    state = navigator.start(np.array([[-3.0, 0.0], [0.0, 1.84]]))
     np.testing.assert_array_equal(navigator.completed(state), [0, 0])
-    state = navigator.advance(state, np.array([[-2.9, 0.0], [0.0, 2.01]]))
+    state = navigator.advance(state, np.array([[-2.9, 0.0], [0.0, 1.86]]))
     np.testing.assert_array_equal(navigator.completed(state), [0, 1])
     np.testing.assert_allclose(navigator.direction(state), [[1, 0], [0, 0]], atol=1e-9)
+    # Nobody is before its start.
+    before = navigator.start(np.array([[-3.2, 0.0]]))
+    for _ in range(3):
+        before = navigator.advance(before, np.array([[-3.2, 0.0]]))
+        np.testing.assert_array_equal(before.arc, 0)
     # It stays completed.
     state = navigator.advance(state, np.array([[-2.8, 0.0], [0.0, 1.5]]))
     np.testing.assert_array_equal(navigator.completed(state), [0, 1])

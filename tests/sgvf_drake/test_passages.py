@@ -1,0 +1,138 @@
+"""What agents did on a network, from motions along its lines that are known."""
+
+import numpy as np
+from numpy.typing import NDArray
+import pytest
+
+from sgvf_drake.clouds import PointCloud
+from sgvf_drake.network_metrics import network_metrics
+from sgvf_drake.passages import (
+    errors_in_use,
+    passages,
+    straight_fraction,
+    straight_on,
+    turn_fraction,
+)
+from sgvf_drake.paths import PathNetwork
+from sgvf_drake.paths.finding import find_paths
+from sgvf_drake.paths.itinerary import Itinerary, oriented_line
+from sgvf_drake.paths.planning import covering
+from tests.networks import SHAPES
+
+Array = NDArray[np.float64]
+STEP = 0.05
+
+
+def found(name: str) -> PathNetwork:
+    return find_paths(PointCloud(SHAPES[name].sample(400, 0.0, random=False, seed=0)))
+
+
+def along(itinerary: Itinerary, laps: float = 1.0) -> Array:
+    """A motion (T, 1, d) along an itinerary."""
+    length = laps * itinerary.length
+    arc = np.linspace(0, length, round(length / STEP))
+    if itinerary.closed:
+        arc %= itinerary.length
+    return itinerary.line.at(arc)[:, None]
+
+
+def times_of(positions: Array) -> Array:
+    steps = np.linalg.norm(np.diff(positions[:, 0], axis=0), axis=1)
+    return np.append(0.0, np.cumsum(np.maximum(steps, 1e-9)))
+
+
+def box_of(network: PathNetwork) -> tuple[Array, Array]:
+    points = np.concatenate([edge.line.vertices for edge in network.edges])
+    return points.min(axis=0) - 1, points.max(axis=0) + 1
+
+
+@pytest.mark.parametrize("name", ["T", "Y", "eight", "grid", "roundabout", "Y in space"])
+def test_a_motion_along_an_itinerary_passes_its_edges_in_order(name: str) -> None:
+    network = found(name)
+    itinerary = covering(network)
+    laps = 1.5 if itinerary.closed else 1.0
+    edges = [p.edge for p in passages(along(itinerary, laps), network)[0]]
+    wanted = [*itinerary.edges, *itinerary.edges]
+    assert edges == wanted[: len(edges)]
+    assert len(edges) >= len(itinerary.edges)
+    own = passages(along(itinerary, laps), network)
+    assert turn_fraction(own, itinerary) == 1
+    assert errors_in_use(along(itinerary)[:, 0], own[0][:-1], network).max() < 1e-6
+
+
+def test_what_lies_ahead_of_a_crossing_is_known_both_ways() -> None:
+    network = found("eight")
+    assert straight_on(network) == {1: 2, 2: 1, -1: -2, -2: -1}
+    grid = straight_on(found("grid"))
+    # One crossing with four arms.
+    assert len(grid) == 4
+    assert all(grid[-after] == -before for before, after in grid.items())
+
+
+def test_turns_at_a_crossing_are_not_straight() -> None:
+    # A plus of four arms, each 4 long: 1 and 2 along x, 3 and 4 along y.
+    network = found("X")
+    ahead = straight_on(network)
+    inwards = next(number for number in ahead)
+    straight = np.concatenate([oriented_line(network, n) for n in (inwards, ahead[inwards])])
+    other = next(n for n in ahead.values() if abs(n) not in (abs(inwards), abs(ahead[inwards])))
+    turned = np.concatenate([oriented_line(network, n) for n in (inwards, other)])
+    for line, fraction in ((straight, 1.0), (turned, 0.0)):
+        assert straight_fraction(passages(line[:, None], network), network) == fraction
+
+
+def test_a_route_that_is_left_counts_as_left() -> None:
+    network = found("T")
+    tour = covering(network)
+    wish = Itinerary.along(tour.edges[:2], network, closed=False)
+    # Straight to the third edge in place of the second.
+    second = wish.edges[1]
+    third = next(n for n in (1, 2, 3, -1, -2, -3) if abs(n) not in map(abs, wish.edges))
+    if not np.allclose(oriented_line(network, third)[0], oriented_line(network, second)[0]):
+        third = -third
+    motion = np.concatenate([oriented_line(network, n) for n in (wish.edges[0], third)])
+    assert turn_fraction(passages(motion[:, None], network), wish) == 0
+
+
+def test_the_error_is_to_the_edge_in_use_and_not_to_the_nearest_one() -> None:
+    network = found("X")
+    ahead = straight_on(network)
+    inwards = next(iter(ahead))
+    line = np.concatenate([oriented_line(network, n) for n in (inwards, ahead[inwards])])
+    own = passages(line[:, None], network)[0]
+    # Moved aside by .2 all along: near the crossing the other strand is nearer.
+    tangent = np.gradient(line, axis=0)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    aside = line + 0.2 * np.column_stack([-tangent[:, 1], tangent[:, 0]])
+    between = slice(own[0].sample + 5, own[-1].sample - 5)
+    nearest = network.path.project(aside).distance[between]
+    errors = errors_in_use(aside, own, network)[between]
+    assert nearest.min() < 0.05
+    np.testing.assert_allclose(errors, 0.2, atol=0.03)
+
+
+def test_a_lap_needs_every_edge_in_order_and_near() -> None:
+    network = found("eight")
+    route = covering(network)
+    whole, part = along(route, 1.9), along(route, 0.9)
+    far = whole.copy()
+    far[len(far) // 2 :, :, 0] += 0.5
+    for positions, lapped in ((whole, True), (part, False), (far, False)):
+        metrics = network_metrics(
+            times_of(positions), positions, network, box_of(network), np.empty((0, 2))
+        )
+        assert metrics.lapped.tolist() == [lapped]
+        assert metrics.summary()["lap_fraction"] == float(lapped)
+    assert metrics.straight_fraction == 1
+
+
+@pytest.mark.parametrize("rests", [True, False])
+def test_rest_at_an_end_of_a_network_is_no_stall_and_elsewhere_it_is(rests: bool) -> None:
+    network = found("T")
+    ends = np.array([node.place for node in network.nodes if node.kind == "end"])
+    place = ends[0] if rests else network.edges[0].line.at(np.array([1.0]))[0]
+    positions = np.broadcast_to(place, (400, 1, 2))
+    times = STEP * np.arange(400)
+    metrics = network_metrics(times, positions, network, box_of(network), ends)
+    assert metrics.stalled.tolist() == [not rests]
+    assert metrics.kind == ["network"]
