@@ -113,7 +113,7 @@ def to_point(network: PathNetwork, target: Sequence[float], spec: FlightSpec) ->
 
 
 def covering_routes(network: PathNetwork) -> list[Itinerary]:
-    """Returns the itinerary over every edge of each piece; stray ones, below one U, are left."""
+    """Returns the itinerary over every edge of each piece; not of strays, below one U."""
     whole = [covering(network, piece) for piece in range(network.num_pieces)]
     return [route for route in whole if route.length >= network.unit_length]
 
