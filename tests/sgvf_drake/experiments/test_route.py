@@ -14,7 +14,7 @@ from sgvf_drake.paths.itinerary import Itinerary
 from systems import Mode, SensorParameters
 from tests.networks import straight_network
 
-SPEED = 0.6
+SPEED = 0.45
 
 
 @pytest.fixture(scope="module")
