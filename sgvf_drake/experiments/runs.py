@@ -105,7 +105,7 @@ def run_train(
             "shape": cloud.shape,
             "digest": cloud.digest,
             "origin": cloud.origin,
-            "messages": [*cloud.messages, *result.network.messages],
+            "messages": [*cloud.messages, *result.network.messages, *_of_support(result)],
             "unsure": result.network.unsure,
             **_path_summary(result, config),
             "train_cpu_s": result.cpu_s,
@@ -119,6 +119,11 @@ def run_train(
         }
         write_summary(folder, summary)
     return summary
+
+
+def _of_support(result: Any) -> tuple[str, ...]:
+    """What is to be said of what a directed field was learned from."""
+    return result.support.messages if isinstance(result.field, DirectedField) else ()
 
 
 def _path_summary(result: Any, config: Any) -> dict[str, Any]:
