@@ -283,9 +283,10 @@ def run_routes(
 
     The files are named `route`, those of several `route_1` and so on.
     """
-    names = ["route", *(f"route_{n + 1}" for n in range(field.network.num_pieces))]
+    count = max(len(routes), field.network.num_pieces)
+    names = ["route", *(f"route_{n + 1}" for n in range(count))]
     files = (SUMMARY, *(f"{name}.{kind}" for name in names for kind in ROUTE_KINDS))
-    stems = names[:1] if len(routes) == 1 else names[1:]
+    stems = names[:1] if len(routes) == 1 else names[1 : 1 + len(routes)]
     with result_folder(out, files, overwrite=overwrite) as folder:
         scene = view.scene(folder)
         if scene is not None:
