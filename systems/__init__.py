@@ -4,7 +4,7 @@ As in Drake, ``Add...(builder, ...)`` changes a builder and ``Make...`` returns 
 """
 
 from systems.branch_supervisor import BranchSupervisor, BranchSupervisor_
-from systems.branches import Branch, MakeBranches
+from systems.branches import Branch, BranchAlong, MakeBranches
 from systems.controller import DEFAULT_GAINS, Se3Controller, Se3Controller_
 from systems.diagrams import (
     MakeFlightDiagram,
@@ -69,6 +69,7 @@ __all__ = [
     "AddQuadrotorGeometry",
     "Body",
     "Branch",
+    "BranchAlong",
     "BranchSupervisor",
     "BranchSupervisor_",
     "DifferentiableFunction",

@@ -7,13 +7,15 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydrake.common.value import Value
 from pydrake.systems.framework import BasicVector_, LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 from sgvf_drake.arrays import FloatArray
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.fields.base import Field
-from systems.branches import Branch, CheckBranches, CheckedBox, CheckTour
+from sgvf_drake.fields.base import Field, SteerableField
+from sgvf_drake.paths.itinerary import Itinerary
+from systems.branches import Branch, BranchAlong, CheckBranches, CheckedBox, CheckTour
 from systems.guidance import DeclareCommandPorts
 from systems.quadrotor import POSITION, STATE_SIZE, VELOCITY, QuadrotorParameters
 from systems.scalars import (
@@ -30,12 +32,15 @@ from systems.scalars import (
 )
 from systems.sensing import DEFAULT_SAMPLE_PERIOD
 from systems.supervision import (
+    ARC,
     BRANCH,
+    EDGE,
     HOLD_POSITION,
     MODE,
     ON_TOUR,
     CalcCommands,
     Memory,
+    Order,
     Seen,
     Settings,
     Supervision,
@@ -66,11 +71,16 @@ def BranchSupervisor_(T: type) -> Any:  # noqa: D103 (the class below says it)
             - acceleration_feedforward
             - speed
             - measurement_age
+            - heading (with a directed field)
+            - next_edge (with a directed field)
             output_ports:
             - velocity_command
             - acceleration_feedforward
             - mode
             - branch
+            - intended_direction (with a directed field)
+            - edge (with a directed field)
+            - arc (with a directed field)
 
         The inputs are those of the controller and of `GuidanceSystem`: `state` (12),
         `velocity_command` (3) in m/s and `acceleration_feedforward` (3) in m/s^2 in W, and
@@ -81,6 +91,17 @@ def BranchSupervisor_(T: type) -> Any:  # noqa: D103 (the class below says it)
         guidance's.  `mode` (1) is a `Mode` and `branch` (1) the number of the branch that is
         followed or flown to; both are for logs.
 
+        A branch of a directed field has an itinerary on its network, and the supervisor then
+        gives `intended_direction` (d) to guidance, of no unit: about a node the direction of
+        the exit, between nodes that of the edge, and zero at the end of an open itinerary,
+        where the vehicle stops.  It finds its place on the itinerary by `heading` (d) of
+        guidance when it comes to a branch, and by the position from then on.  `edge` (1) is
+        the number of the edge in use, from 1, negative if it is travelled backwards, and
+        `arc` (1) the arc length in m on the itinerary, which laps count on.  Another itinerary
+        is commanded by `SetRoute`, the next turn alone by `next_edge` (1): where the edge of
+        that number can follow at the next node it does, and then the vehicle comes back to its
+        itinerary the shortest way.  0, and not connected, commands nothing.
+
         Every `period` the supervisor decides on its mode:
 
         - FOLLOW hands guidance through.  Where the path demands more acceleration than
@@ -90,8 +111,8 @@ def BranchSupervisor_(T: type) -> Any:  # noqa: D103 (the class below says it)
           It starts when another branch is wanted, at the place of the present branch that
           makes it short (see `DepartureDelay`); and at once when the vehicle is outside the
           box, nearer to another branch than to its own, or may fly again after HOLD.
-        - HOLD stops smoothly and stays there: by command, or while the measurement is
-          older than `hold_after`.
+        - HOLD stops smoothly and stays there: by command, at the end of an open itinerary, or
+          while the measurement is older than `hold_after`.
         - LAND stops, descends to the landing height and stays there for good: when the
           measurement is older than `land_after`.
 
@@ -99,12 +120,15 @@ def BranchSupervisor_(T: type) -> Any:  # noqa: D103 (the class below says it)
         a correction ``POSITION_GAIN (p_ref - p)``, smoothly limited to `MAX_CORRECTION`.
         With a field of dimension 2 the vertical command stays guidance's, but for LAND.
 
-        The one numeric parameter (index `parameter_index`) holds the `Settings`: the wanted
+        The numeric parameter (index `parameter_index`) holds the `Settings`: the wanted
         branch, the laps on each branch of the tour, and the two ages in s; see `SetBranch`,
         `SetLaps`, `SetHoldAfter` and `SetLandAfter`.  They are read at each sample.  While
         the wanted branch is `ON_TOUR`, the tour rules: the next branch is wanted after the
         laps on this one, or at the end of an open one; the last is followed for good.  A
         tour that was interrupted by another wanted branch goes on where it was.
+
+        The abstract parameter (index `route_index`) holds the last route that was commanded,
+        an `Order`, or None.
 
         The discrete state is the supervisor's `Memory`.  The commands are direct
         feed-through.  Under AutoDiffXd they have the derivatives for a given memory; what
@@ -171,6 +195,11 @@ def BranchSupervisor_(T: type) -> Any:  # noqa: D103 (the class below says it)
                     ("measurement_age", 1),
                 )
             ]
+            self._heading: Any = None
+            if isinstance(field, SteerableField):
+                self._heading = self.DeclareVectorInputPort("heading", field.dim)
+                self._next_edge = self.DeclareVectorInputPort("next_edge", 1)
+            self.route_index = self.DeclareAbstractParameter(Value[object](None))
             self.parameter_index = self.DeclareNumericParameter(
                 BasicVector_[T]([ON_TOUR, laps, DEFAULT_HOLD_AFTER, DEFAULT_LAND_AFTER])
             )
@@ -185,7 +214,13 @@ def BranchSupervisor_(T: type) -> Any:  # noqa: D103 (the class below says it)
             memory = self.discrete_state_ticket(self._memory_index)
             tickets = (self.input_port_ticket(port.get_index()) for port in self._inputs[:3])
             DeclareCommandPorts(self, T, self._CalcCommands, {memory, *tickets})
-            for name, entry in (("mode", MODE), ("branch", BRANCH)):
+            entries = {"mode": MODE, "branch": BRANCH}
+            if self._heading is not None:
+                self.DeclareVectorOutputPort(
+                    "intended_direction", self._dim, self._CopyDirection, {memory}
+                )
+                entries |= {"edge": EDGE, "arc": ARC}
+            for name, entry in entries.items():
                 self.DeclareVectorOutputPort(name, 1, partial(self._CopyEntry, entry), {memory})
 
         def GetBranch(self, context: Any) -> int:
@@ -200,6 +235,45 @@ def BranchSupervisor_(T: type) -> Any:  # noqa: D103 (the class below says it)
                 branch: The number of a branch, `HOLD_POSITION` or `ON_TOUR`.
             """
             self._SetParameter(context, 0, self._CheckedBranch(branch))
+
+        def GetRoute(self, context: Any) -> Itinerary | None:
+            """Returns the route that was commanded last; None if none was."""
+            order = context.get_abstract_parameter(self.route_index).get_value()
+            return None if order is None else order.route.course.itinerary
+
+        def SetRoute(self, context: Any, route: Itinerary | str) -> None:
+            """Commands a route in place of the itinerary of its branch, which is wanted then.
+
+            A vehicle on one of its edges flies it from there on, and one on another edge of
+            its piece comes to its start the shortest way.
+
+            Args:
+                context: This system's own.
+                route: An itinerary on the network of the field; or its edges, as "1,2,-3".
+
+            Raises:
+                ConfigurationError: If the field is no directed one, if an edge does not
+                    exist, cannot be travelled, or does not follow the one before it, or if no
+                    branch is on its piece.
+            """
+            if self._heading is None:
+                raise ConfigurationError("the field is no directed one; it has no routes")
+            field: Any = self._supervision.field
+            branch = BranchAlong(field, route)
+            number = self._BranchOfPiece(branch)
+            parameter = context.get_mutable_abstract_parameter(self.route_index)
+            before = parameter.get_value()
+            count = 1 if before is None else before.number + 1
+            parameter.SetFrom(Value[object](Order(count, number, branch)))
+            self.SetBranch(context, number)
+
+        def _BranchOfPiece(self, route: Branch) -> int:
+            """Returns the number of the branch on the piece of a route."""
+            piece = _PieceOf(route)
+            for number, branch in enumerate(self._supervision.branches):
+                if branch.course is not None and _PieceOf(branch) == piece:
+                    return number
+            raise ConfigurationError(f"no branch is on piece {piece + 1}, where the route is")
 
         def GetLaps(self, context: Any) -> float:
             """Returns the laps on each branch of the tour."""
@@ -266,10 +340,30 @@ def BranchSupervisor_(T: type) -> Any:  # noqa: D103 (the class below says it)
                 acceleration,
                 float(speed[0]),
                 float(age[0]),
+                *self._SeeCommands(context),
             )
 
+        def _SeeCommands(self, context: Any) -> tuple[FloatArray | None, int, Order | None]:
+            """Returns the heading, the next edge and the order."""
+            order = context.get_abstract_parameter(self.route_index).get_value()
+            if self._heading is None:
+                return None, 0, order
+            heading = None
+            if self._heading.HasValue(context):
+                heading = self._EvalFinite(context, self._heading)
+            if not self._next_edge.HasValue(context):
+                return heading, 0, order
+            number = float(self._EvalFinite(context, self._next_edge)[0])
+            field: Any = self._supervision.field
+            count = len(field.network.edges)
+            if number not in range(-count, count + 1):
+                raise ConfigurationError(
+                    f"next_edge must be the number of one of the {count} edges, got {number:g}"
+                )
+            return heading, int(number), order
+
         def _EvalFinite(self, context: Any, port: Any) -> FloatArray:
-            if not port.HasValue(context) and port is self._inputs[-1]:
+            if port is self._inputs[-1] and not port.HasValue(context):
                 return np.zeros(1)  # The measurement is always fresh.
             values = ToList(port.Eval(context))
             CheckFinite(self, context, port, values)
@@ -287,6 +381,9 @@ def BranchSupervisor_(T: type) -> Any:  # noqa: D103 (the class below says it)
         def _CopyEntry(self, entry: int, context: Any, output: Any) -> None:
             output.SetAtIndex(0, self._Vector(context)[entry])
 
+        def _CopyDirection(self, context: Any, output: Any) -> None:
+            output.SetFromVector(self._Vector(context)[-self._dim :])
+
         def _Vector(self, context: Any) -> Any:
             return context.get_discrete_state(self._memory_index).CopyToVector()
 
@@ -294,3 +391,10 @@ def BranchSupervisor_(T: type) -> Any:  # noqa: D103 (the class below says it)
 
 
 BranchSupervisor = BranchSupervisor_[None]
+
+
+def _PieceOf(branch: Branch) -> int:
+    """Returns the piece of the network on which the branch of a course is."""
+    assert branch.course is not None
+    itinerary = branch.course.itinerary
+    return itinerary.network.edges[abs(itinerary.edges[0]) - 1].piece

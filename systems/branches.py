@@ -6,16 +6,21 @@ form; G. Farin, Curves and Surfaces for CAGD): plain numbers in metres, which bo
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sgvf_drake.arrays import FloatArray
+from sgvf_drake.arrays import FloatArray, IntArray
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.fields.base import Field
+from sgvf_drake.fields.base import Field, NetworkField, SteerableField
 from sgvf_drake.paths import ReferencePath
+from sgvf_drake.paths.itinerary import Itinerary
+from sgvf_drake.paths.planning import covering
+from systems.courses import Course
 from systems.guidance import FieldForSpeed
 
 POINTS_OF_EXTENT = 80
@@ -77,12 +82,14 @@ class Transfer(NamedTuple):
         cost: What was minimised, in s; at least the duration.
         violation: By how much it breaks the limits that it was planned for, relative to
             them; 0 if it keeps all of them.
+        entry: Which of the entries it leads to.
     """
 
     control_points: FloatArray
     duration: float
     cost: float
     violation: float
+    entry: int = 0
 
     def Eval(self, time: float) -> Motion:
         """Returns the motion (d,) at a time in s since its start; it rests on both sides."""
@@ -91,18 +98,46 @@ class Transfer(NamedTuple):
         return Motion(*(values[0] for values in motion))
 
 
-class Branch(NamedTuple):
-    """One piece of a path.
+@dataclass(frozen=True, eq=False)
+class Branch:
+    """One piece of a path, or an itinerary on a network.
 
     Attributes:
-        points: Waypoints on it, (n, d) in m, in the order of travel.
+        points: Waypoints on it, (n, d) in m, in the order of travel; equally far apart on a
+            course.
         length: In m.
         closed: Whether it is a loop, which may be entered anywhere and flown for ever.
+        course: Where it leads on the network of a directed field; None: the field alone
+            tells.
     """
 
     points: FloatArray
     length: float
     closed: bool
+    course: Course | None = None
+
+    @classmethod
+    def Along(cls, course: Course) -> "Branch":
+        """Returns the branch of a course."""
+        itinerary = course.itinerary
+        extent = 8.0 * itinerary.network.unit_length
+        points = itinerary.line.sample(_NumPoints(itinerary.length, extent))
+        return cls(points, itinerary.length, itinerary.closed, course)
+
+    def __deepcopy__(self, memo: Any) -> "Branch":
+        """Returns itself: nothing of it ever changes."""
+        return self
+
+    @cached_property
+    def _arcs(self) -> FloatArray:
+        """The arc lengths of the waypoints of a course."""
+        return np.linspace(0.0, self.length, len(self.points), endpoint=not self.closed)
+
+    @cached_property
+    def _headings(self) -> tuple[FloatArray, FloatArray]:
+        """The headings at the waypoints of a course, and how they turn."""
+        assert self.course is not None
+        return self.course.Headings(self._arcs)
 
     def Nearest(self, position: FloatArray) -> tuple[int, float]:
         """Returns the waypoint nearest to a position (d,), and its distance in m."""
@@ -111,37 +146,79 @@ class Branch(NamedTuple):
         nearest = int(squares.argmin())
         return nearest, math.sqrt(squares[nearest])
 
-    def Entries(self, field: Field, speed: float, anywhere: bool = False) -> Motion:
-        """Returns how a vehicle moves along the field at the waypoints where it may enter.
+    def WaypointAt(self, arc: float) -> int:
+        """Returns the waypoint nearest to an arc length in m of a course; laps count on."""
+        nearest = round(arc / float(self._arcs[1]))
+        count = len(self.points)
+        return nearest % count if self.closed else min(max(nearest, 0), count - 1)
+
+    def ArcOf(self, waypoint: int) -> float:
+        """Returns the arc length in m of a waypoint of a course."""
+        return float(self._arcs[waypoint])
+
+    def Entrances(self, anywhere: bool = False) -> IntArray:
+        """Returns the waypoints where a vehicle may enter.
+
+        Args:
+            anywhere: Whether an open branch may be entered elsewhere than at its start.
+        """
+        count = len(self.points)
+        if not (self.closed or anywhere):
+            count = max(1, round(ENTRY_SHARE * count))
+        return np.arange(count)
+
+    def Ahead(self, waypoint: int, reach: float = math.inf) -> IntArray:
+        """Returns the waypoints from one on, up to a reach in m; around a loop once."""
+        count = len(self.points)
+        stop = waypoint + count if self.closed else count
+        if reach < math.inf:
+            stop = min(stop, waypoint + 1 + math.ceil(reach / self.length * count))
+        return np.arange(waypoint, stop) % count
+
+    def MotionAt(
+        self, field: Field, speed: float, waypoints: IntArray | slice = slice(None)
+    ) -> Motion:
+        """Returns the motion (n, d) of vehicles that follow the field exactly at waypoints.
 
         Args:
             field: The guiding field, in metres; taken as it is flown, see `FieldForSpeed`.
             speed: In m/s.
-            anywhere: Whether an open branch may be entered elsewhere than at its start.
+            waypoints: Their numbers (n,); all by default.
         """
-        points = self.points
-        if not (self.closed or anywhere):
-            points = points[: max(1, round(ENTRY_SHARE * len(points)))]
-        return MotionAlong(field, points, speed)
+        points, flown = self.points[waypoints], FieldForSpeed(field, speed)
+        if self.course is None:
+            m, J = flown.value_and_jacobian(points)
+            rate = np.einsum("nij,nj->ni", J, m)
+        else:
+            assert isinstance(flown, SteerableField)
+            headings, turns = (values[waypoints] for values in self._headings)
+            states = np.concatenate([points, headings], axis=1)
+            F, J = flown.with_memory().value_and_jacobian(states)
+            d = points.shape[1]
+            m, moves = F[:, :d], np.concatenate([F[:, :d], turns], axis=1)
+            rate = np.einsum("nij,nj->ni", J[:, :d], moves)
+        return Motion(points, speed * m, speed**2 * rate)
 
 
-def MotionAlong(field: Field, points: FloatArray, speed: float) -> Motion:
-    """Returns the motion (n, d) of vehicles that follow a field exactly at points (n, d)."""
-    m, J = FieldForSpeed(field, speed).value_and_jacobian(points)
-    return Motion(points, speed * m, speed**2 * np.einsum("nij,nj->ni", J, m))
+def MakeBranches(field: Field, path: ReferencePath | None = None) -> tuple[Branch, ...]:
+    """Returns the branches of a path to which a vehicle can be sent.
 
-
-def MakeBranches(field: Field, path: ReferencePath) -> tuple[Branch, ...]:
-    """Returns the pieces of a path, in its order, to which a vehicle can be sent.
+    They are the pieces of the path, in its order.  Of a directed field they are the pieces of
+    its own network, each with an itinerary over all of its edges; see `BranchAlong`.
 
     Args:
         field: The guiding field, in metres; it tells the direction of travel.
-        path: The path, in m; that of a learned field is `field.path`.
+        path: The path, in m; that of a learned field is `field.path`, as by default.
     """
+    if isinstance(field, SteerableField):
+        steered = cast(NetworkField, field)
+        pieces = range(steered.network.num_pieces)
+        return tuple(BranchAlong(steered, covering(steered.network, k)) for k in pieces)
+    path = cast(Any, field).path if path is None else path
     extent = np.ptp(np.concatenate([piece.vertices for piece in path.pieces]), axis=0).max()
     branches = []
     for piece in path.pieces:
-        points = piece.sample(2 + round(POINTS_OF_EXTENT * piece.length / extent))
+        points = piece.sample(_NumPoints(piece.length, extent))
         steps = np.diff(points, axis=0)
         if float(np.sum(field(points[:-1]) * steps)) < 0.0:
             points = points[::-1]
@@ -149,17 +226,36 @@ def MakeBranches(field: Field, path: ReferencePath) -> tuple[Branch, ...]:
     return tuple(branches)
 
 
+def BranchAlong(field: NetworkField, itinerary: Itinerary | str) -> Branch:
+    """Returns the branch of a directed field that leads along an itinerary on its network.
+
+    Args:
+        field: The guiding field, in metres.
+        itinerary: On `field.network`; or its edges, as "1,2,-3".
+
+    Raises:
+        ConfigurationError: If an edge does not exist, or does not follow the one before it.
+    """
+    if isinstance(itinerary, str):
+        itinerary = Itinerary.parse(itinerary, field.network)
+    return Branch.Along(Course.Of(field, itinerary))
+
+
+def _NumPoints(length: float, extent: float) -> int:
+    return 2 + round(POINTS_OF_EXTENT * length / extent)
+
+
 def SpeedLimits(
     field: Field, branch: Branch, speed: float, max_acceleration: float
 ) -> FloatArray:
     """Returns the speeds (n,) in m/s at which a vehicle can pass the waypoints of a branch.
 
-    At each, speed^2 |J m| keeps the acceleration; and before a turn the speed falls no
+    At each, the acceleration of `Branch.MotionAt` is kept; and before a turn the speed falls no
     faster than `BRAKING_SHARE` of the acceleration allows (the backward pass of
     time-optimal path parametrisation).  Nowhere is the result above the commanded speed, which
     is positive, in m/s; the acceleration is in m/s^2.
     """
-    demand = np.linalg.norm(MotionAlong(field, branch.points, speed).acceleration, axis=1)
+    demand = np.linalg.norm(branch.MotionAt(field, speed).acceleration, axis=1)
     limits = speed * np.sqrt(np.minimum(1.0, max_acceleration / np.maximum(demand, 1e-9)))
     steps = np.linalg.norm(np.roll(branch.points, -1, axis=0) - branch.points, axis=1)
     gains = 2.0 * BRAKING_SHARE * max_acceleration * steps
@@ -176,7 +272,7 @@ def DepartureDelay(
     field: Field,
     branch: Branch,
     target: Branch,
-    position: FloatArray,
+    waypoint: int,
     speed: float,
     max_acceleration: float,
 ) -> float:
@@ -190,22 +286,19 @@ def DepartureDelay(
         field: The guiding field, in metres.
         branch: Where the vehicle is.
         target: Where it is to go.
-        position: Its position, (d,) in m.
+        waypoint: The waypoint of the branch that it is at.
         speed: In m/s, positive.
         max_acceleration: In m/s^2; see `PlanTransfer`.
     """
-    first, _ = branch.Nearest(position)
-    ahead = branch.points[first:]
-    if branch.closed:
-        ahead = np.concatenate((ahead, branch.points[:first]))
-    steps = np.linalg.norm(np.diff(ahead, axis=0), axis=1)
+    ahead = branch.Ahead(waypoint)
+    steps = np.linalg.norm(np.diff(branch.points[ahead], axis=0), axis=1)
     delays = np.concatenate(([0.0], np.cumsum(steps))) / speed
     stride = -(-len(ahead) // MAX_DEPARTURES)
     ahead, delays = ahead[::stride], delays[::stride]
-    departures = MotionAlong(field, ahead, speed)
-    entries = target.Entries(field, speed)
-    stride = -(-len(entries.position) // MAX_DEPARTURES)
-    entries = Motion(*(values[::stride] for values in entries))
+    departures = branch.MotionAt(field, speed, ahead)
+    entrances = target.Entrances()
+    stride = -(-len(entrances) // MAX_DEPARTURES)
+    entries = target.MotionAt(field, speed, entrances[::stride])
     plans = [
         PlanTransfer(Motion(*start), entries, speed, max_acceleration)
         for start in zip(*departures, strict=True)
@@ -247,7 +340,11 @@ def PlanTransfer(
     cost = np.where(violation == violation.min(), durations * (1.0 + effort), np.inf)
     best = np.unravel_index(np.argmin(cost), cost.shape)
     return Transfer(
-        points[best], float(durations[best]), float(cost[best]), float(violation[best])
+        points[best],
+        float(durations[best]),
+        float(cost[best]),
+        float(violation[best]),
+        int(best[1]),
     )
 
 
@@ -326,7 +423,8 @@ def CheckBranches(
     """Raises ConfigurationError unless a vehicle can be sent to each branch, inside the box."""
     if not branches:
         raise ConfigurationError("a supervisor needs at least one branch")
-    for number, (points, length, _) in enumerate(branches):
+    for number, branch in enumerate(branches):
+        points, length = branch.points, branch.length
         shape = np.shape(points)
         if len(shape) != 2 or shape[1] != dim or not shape[0]:
             problem = f"must have points (n, {dim}), got {shape}"

@@ -25,7 +25,7 @@ from pydrake.systems.primitives import (
 )
 
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
-from sgvf_drake.fields.base import Field
+from sgvf_drake.fields.base import Field, SteerableField
 from systems.guidance_loop import AddGuidance
 from systems.lyapunov_monitor import AddLyapunovMonitor, DifferentiableFunction
 from systems.quadrotor import STATE_SIZE, VELOCITY, QuadrotorParameters
@@ -54,7 +54,8 @@ def MakeFlightDiagram(
     and "controller", and the logs (VectorLogSink) "state_log", "velocity_command_log" and
     "propeller_force_log"; see `AddGuidance`.  A log sees the commands that hold until its
     sample: at a time of sampling, those of the sample before.  The output port `state` (12)
-    is the plant's.  With a "supervisor" there are the logs "mode_log" and "branch_log" too.
+    is the plant's.  With a "supervisor" there are the logs "mode_log" and "branch_log" too, and
+    with a directed field "edge_log" and "arc_log".
 
     With a Lyapunov function of dimension d there is a `LyapunovMonitor` "lyapunov" of the
     vehicle's first d coordinates, and the logs "V_log" and "V_dot_log".  It watches the true
@@ -88,7 +89,9 @@ def MakeFlightDiagram(
             parts.controller.GetOutputPort("propeller_force"),
         ]
         if parts.supervisor is not None:
-            logged += [parts.supervisor.GetOutputPort(name) for name in ("mode", "branch")]
+            names = ["mode", "branch"]
+            names += ["edge", "arc"] if isinstance(field, SteerableField) else []
+            logged += [parts.supervisor.GetOutputPort(name) for name in names]
         for port in logged:
             LogVectorOutput(port, builder, log_period).set_name(f"{port.get_name()}_log")
     if lyapunov is not None:

@@ -6,7 +6,7 @@ from pydrake.examples import QuadrotorPlant
 from pydrake.systems.framework import DiagramBuilder, OutputPort, System
 
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.fields.base import Field
+from sgvf_drake.fields.base import Field, SteerableField
 from systems.controller import Se3Controller
 from systems.guidance import DEFAULT_ALTITUDE, DEFAULT_SPEED, GuidanceSystem
 from systems.quadrotor import QuadrotorParameters
@@ -121,6 +121,9 @@ def AddGuidance(
         commander = builder.AddNamedSystem("supervisor", supervisor)
         builder.Connect(state, supervisor.GetInputPort("state"))
         _Connect(builder, guidance, supervisor, *COMMANDS, "speed")
+        if isinstance(field, SteerableField):
+            _Connect(builder, guidance, supervisor, "heading")
+            _Connect(builder, supervisor, guidance, "intended_direction")
         if sensors is not None:
             _Connect(builder, capture, supervisor, "measurement_age")
     _Connect(builder, commander, controller, *COMMANDS)

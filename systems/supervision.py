@@ -11,8 +11,11 @@ import numpy as np
 
 from sgvf_drake.arrays import FloatArray
 from sgvf_drake.fields.base import Field
+from sgvf_drake.paths.itinerary import successors
+from sgvf_drake.paths.planning import connection
 from systems.branches import (
     NUM_CONTROL_POINTS,
+    STOPPING_TIME,
     Branch,
     DepartureDelay,
     Motion,
@@ -21,6 +24,7 @@ from systems.branches import (
     SpeedLimits,
     Transfer,
 )
+from systems.courses import Course, Detour, Spot
 from systems.quadrotor import POSITION, VELOCITY
 from systems.scalars import Scalar, Sqrt, ToFloat
 
@@ -57,6 +61,9 @@ RECOVERED_SHARE = 0.5
 
 REST_SHARE = 0.1
 """An open branch is at its end where the field asks for less than this share of the speed."""
+
+RETURN_REACH = 2.0
+"""A vehicle comes back to its course not farther than this many U ahead of where it left it."""
 
 SCALE_TIME = 0.1
 """s, in which the speed follows what the path allows."""
@@ -105,13 +112,30 @@ class Seen(NamedTuple):
     acceleration_feedforward: FloatArray  # Of guidance, (3,).
     speed: float  # Commanded.
     age: float  # Of the measurement.
+    heading: FloatArray | None = None  # Of guidance, (d,), with a directed field.
+    next_edge: int = 0  # That is commanded; 0: none.
+    order: "Order | None" = None  # The last route that was commanded.
 
 
-_REFERENCE, _PLACES, _CONTROL_POINTS = slice(4, 13), slice(13, 21), slice(21, None)
-"""Where the reference, what stands between, and the control points are in the vector."""
+@dataclass(frozen=True, eq=False)
+class Order:
+    """A route that is commanded in place of the course of a branch."""
 
-MODE, BRANCH = 0, _PLACES.start
-"""Where the mode and the branch are in the vector."""
+    number: int  # Of the order; each has another.
+    branch: int  # Number of the branch.
+    route: Branch  # In its place.
+
+    def __deepcopy__(self, memo: Any) -> "Order":
+        """Returns itself: nothing of it ever changes."""
+        return self
+
+
+_REFERENCE, _PLACES, _VECTORS = slice(4, 13), slice(13, 28), slice(28, None)
+"""Where the reference, what stands between, and the control points and the intended direction
+are in the vector."""
+
+MODE, BRANCH, EDGE, ARC = 0, _PLACES.start, _PLACES.start + 8, _PLACES.start + 9
+"""Where the mode, the branch, the edge and the arc length are in the vector."""
 
 
 @dataclass
@@ -133,12 +157,20 @@ class Memory:
     start: float  # Time in s at which the planned motion started.
     duration: float  # Of the planned motion in s.
     speed: float  # The commanded speed at the last sample in m/s, -1 before the first.
+    edge: float  # Number of the edge in use of a network; 0: none.
+    arc: float  # Arc length in m on the course or the detour, which laps count on.
+    section: float  # The section of it; see `Spot`.
+    order: float  # Number of the order that was taken up; 0: none.
+    first: float  # Edge on which the present detour begins; 0: there is none.
+    second: float  # Edge that was commanded to follow it; 0: none.
+    rejoin: float  # Where in the edges of the course the detour ends; -1: it ends elsewhere.
     control_points: FloatArray  # Of the planned motion, (6, d) in m.
+    direction: FloatArray  # The intended one, (d,); zero without a directed field.
 
     @classmethod
     def AtStart(cls, branch: int, dim: int) -> "Memory":
         """Returns the memory of a supervisor that has not seen anything."""
-        start = cls.FromVector(np.zeros(_CONTROL_POINTS.start + NUM_CONTROL_POINTS * dim))
+        start = cls.FromVector(np.zeros(_VECTORS.start + (NUM_CONTROL_POINTS + 1) * dim))
         start.weight, start.scale, start.duration = 1.0, 1.0, 1.0
         start.branch, start.target, start.speed = float(branch), float(ON_TOUR), -1.0
         return start
@@ -147,9 +179,9 @@ class Memory:
     def FromVector(cls, values: FloatArray) -> "Memory":
         """Reads what `ToVector` has written."""
         reference = values[_REFERENCE].reshape(3, 3).copy()
-        points = values[_CONTROL_POINTS].reshape(NUM_CONTROL_POINTS, -1).copy()
+        vectors = values[_VECTORS].reshape(NUM_CONTROL_POINTS + 1, -1).copy()
         before, places = values[: _REFERENCE.start].tolist(), values[_PLACES].tolist()
-        attributes: list[Any] = [*before, *reference, *places, points]
+        attributes: list[Any] = [*before, *reference, *places, vectors[:-1], vectors[-1]]
         return cls(*attributes)
 
     def ToVector(self) -> FloatArray:
@@ -174,12 +206,12 @@ class Supervision:
         return self.field.dim
 
     @cached_property
-    def _Limits(self) -> Callable[[int, float], FloatArray]:
+    def _Limits(self) -> Callable[[Branch, float], FloatArray]:
         """The speeds (n,) in m/s at which each waypoint of a branch can be passed."""
 
         @lru_cache(MAX_LIMITS)
-        def limits(branch: int, speed: float) -> FloatArray:
-            return SpeedLimits(self.field, self.branches[branch], speed, self.max_acceleration)
+        def limits(branch: Branch, speed: float) -> FloatArray:
+            return SpeedLimits(self.field, branch, speed, self.max_acceleration)
 
         return limits
 
@@ -191,7 +223,10 @@ class Supervision:
             # A speed that is raised is taken up from the one that was flown.
             memory.scale *= max(memory.speed / seen.speed, LEAST_SCALE)
         memory.speed = seen.speed
-        nearest, distance = self._Branch(memory).Nearest(seen.position[: self._dim])
+        self._TakeUpOrder(seen, memory)
+        if memory.mode == Mode.FOLLOW:
+            self._MoveOn(seen, memory)
+        nearest, distance = self._Branch(memory, seen).Nearest(seen.position[: self._dim])
         self._Decide(settings, seen, memory, distance)
         if memory.mode == Mode.FOLLOW:
             self._CountDistance(seen, memory, distance)
@@ -203,12 +238,19 @@ class Supervision:
     def _Start(self, settings: Settings, seen: Seen, memory: Memory) -> None:
         """Takes up the wanted branch and the speed that the vehicle has."""
         memory.branch = max(float(self._Wanted(settings, memory)), 0.0)
+        memory.order = 0.0 if seen.order is None else float(seen.order.number)
+        course = self._Course(memory, seen)
+        if course is not None:
+            start = course.Start(seen.position[: self._dim], seen.heading)
+            self._PlaceAt(course, start, memory)
         speed = math.hypot(*seen.velocity[: self._dim])
         memory.scale = min(max(speed / max(seen.speed, 1e-9), LEAST_SCALE), 1.0)
 
     def _Decide(self, settings: Settings, seen: Seen, memory: Memory, distance: float) -> None:
         if memory.mode == Mode.LAND:
             return
+        if memory.mode == Mode.FOLLOW:
+            self._AdvanceTour(settings, seen, memory)
         if seen.age > settings.land_after:
             self._Land(seen, memory)
         elif self._MustHold(settings, seen, memory):
@@ -219,12 +261,14 @@ class Supervision:
 
     def _MustHold(self, settings: Settings, seen: Seen, memory: Memory) -> bool:
         share = RECOVERED_SHARE if memory.mode == Mode.HOLD else 1.0
-        return settings.branch == HOLD_POSITION or seen.age > share * settings.hold_after
+        return (
+            settings.branch == HOLD_POSITION
+            or seen.age > share * settings.hold_after
+            or (self._Wanted(settings, memory) == memory.branch and self._IsAtEnd(seen, memory))
+        )
 
     def _Fly(self, settings: Settings, seen: Seen, memory: Memory, distance: float) -> None:
         """Decides what to do with a vehicle that may fly."""
-        if memory.mode == Mode.FOLLOW:
-            self._AdvanceTour(settings, seen, memory)
         wanted = self._Wanted(settings, memory)
         # Where guidance stands still, there is no speed to fly elsewhere with.
         may_leave = seen.speed > 0.0
@@ -252,23 +296,28 @@ class Supervision:
             return
         if memory.branch != self.tour[int(memory.stop)]:
             return  # Still on the way back from a branch that was wanted by command.
-        branch = self._Branch(memory)
+        branch = self._Branch(memory, seen)
         asked = math.hypot(*seen.velocity_command[: self._dim])
         at_end = not branch.closed and asked < REST_SHARE * seen.speed
+        if branch.course is not None:
+            at_end = self._IsAtEnd(seen, memory)
         laps = settings.laps if branch.closed else 1.0
-        if memory.flown >= laps * branch.length or (at_end and memory.flown > 0.0):
+        completed = branch.course is None or branch.closed
+        completed = completed and memory.flown >= laps * branch.length
+        if completed or (at_end and memory.flown > 0.0):
             memory.stop += 1.0
             memory.flown = 0.0
 
     def _IsTimeToDepart(self, wanted: int, seen: Seen, memory: Memory) -> bool:
         if memory.target != wanted:
+            branch, target = self._InUse(memory, seen), self._BranchOf(wanted, memory, seen)
             memory.target = wanted
             memory.departure = seen.time + DepartureDelay(
                 self.field,
-                self._Branch(memory),
-                self.branches[wanted],
-                seen.position[: self._dim],
-                self._SpeedFor(wanted, seen.speed),
+                branch,
+                target,
+                self._Waypoint(seen, memory),
+                self._SpeedFor(target, seen.speed),
                 self.max_acceleration,
             )
         # Half a period: times are sums of periods, and round.
@@ -279,27 +328,34 @@ class Supervision:
         p = seen.position[: self._dim]
         if self.box is not None and ((p < self.box[0]) | (p > self.box[1])).any():
             return True
-        own = self._Branch(memory)
-        return distance > ON_BRANCH_SHARE * own.length and any(
+        return distance > ON_BRANCH_SHARE * self._Branch(memory, seen).length and any(
             ASTRAY_RATIO * branch.Nearest(p)[1] < distance
-            for branch in self.branches
-            if branch is not own
+            for number, branch in enumerate(self.branches)
+            if number != memory.branch
         )
 
     def _FlyTo(self, wanted: int, seen: Seen, memory: Memory) -> None:
         is_return = wanted == memory.branch
-        speed = self._SpeedFor(wanted, seen.speed)
-        entries = self.branches[wanted].Entries(self.field, speed, anywhere=is_return)
-        start = self._Motion(seen, memory)
-        self._Begin(
-            Mode.TRANSFER,
-            PlanTransfer(start, entries, speed, self.max_acceleration),
-            seen,
-            memory,
+        branch = (
+            self._InUse(memory, seen) if is_return else self._BranchOf(wanted, memory, seen)
         )
+        speed = self._SpeedFor(branch, seen.speed)
+        if is_return and branch.course is not None and memory.edge != 0.0:
+            # What lies farther ahead is not to be left out.
+            reach = RETURN_REACH * branch.course.itinerary.network.unit_length
+            entrances = branch.Ahead(branch.WaypointAt(memory.arc), reach)
+        else:
+            entrances = branch.Entrances(anywhere=is_return and branch.course is None)
+        entries = branch.MotionAt(self.field, speed, entrances)
+        start = self._Motion(seen, memory)
+        plan = PlanTransfer(start, entries, speed, self.max_acceleration)
+        self._Begin(Mode.TRANSFER, plan, seen, memory)
         memory.scale = speed / seen.speed
         if not is_return:
-            memory.branch, memory.flown = float(wanted), 0.0
+            memory.branch, memory.flown, memory.first = float(wanted), 0.0, 0.0
+        if branch.course is not None:
+            arc = branch.ArcOf(int(entrances[plan.entry]))
+            self._PlaceAt(branch.course, branch.course.At(arc), memory)
 
     def _Stop(self, seen: Seen, memory: Memory) -> None:
         plan = PlanStop(self._Motion(seen, memory), self.max_acceleration)
@@ -357,7 +413,8 @@ class Supervision:
 
     def _CountDistance(self, seen: Seen, memory: Memory, distance: float) -> None:
         """Adds what was flown along the field, while the vehicle is on its branch."""
-        if distance > ON_BRANCH_SHARE * self._Branch(memory).length:
+        branch = self._Branch(memory, seen)
+        if branch.course is not None or distance > ON_BRANCH_SHARE * branch.length:
             return
         command = seen.velocity_command[: self._dim]
         along = float(command @ seen.velocity[: self._dim])
@@ -371,18 +428,141 @@ class Supervision:
         """
         if seen.speed == 0.0:
             return
-        target = self._Limits(int(memory.branch), seen.speed)[nearest] / seen.speed
+        branch = self._InUse(memory, seen)
+        if branch.course is not None:
+            nearest = branch.WaypointAt(memory.arc)
+        target = self._Limits(branch, seen.speed)[nearest] / seen.speed
+        if self._Ends(branch, memory):
+            left = max(branch.length - memory.arc, 0.0)
+            target = min(target, math.sqrt(2.0 * left / (STOPPING_TIME * seen.speed)))
         fastest = self.max_acceleration / seen.speed
         rate = (target - memory.scale) / SCALE_TIME
         memory.scale_rate = float(min(max(rate, -fastest), SPEED_UP_SHARE * fastest))
         memory.scale += memory.scale_rate * self.period
 
-    def _SpeedFor(self, branch: int, speed: float) -> float:
-        """Returns the speed in m/s at which all of a branch can be followed."""
-        return float(self._Limits(branch, speed).min())
+    def _SpeedFor(self, branch: Branch, speed: float) -> float:
+        """Returns the speed in m/s at which a branch can be flown to and entered.
 
-    def _Branch(self, memory: Memory) -> Branch:
-        return self.branches[int(memory.branch)]
+        All of a branch can be followed at it; of a course, which may turn round, some of it.
+        """
+        limits = self._Limits(branch, speed)
+        return float(limits.min() if branch.course is None else limits.max())
+
+    def _BranchOf(self, number: int, memory: Memory, seen: Seen) -> Branch:
+        """Returns a branch; the route that was taken up in its place, if there is one."""
+        order = seen.order
+        if order is not None and order.number == memory.order and order.branch == number:
+            return order.route
+        return self.branches[number]
+
+    def _Branch(self, memory: Memory, seen: Seen) -> Branch:
+        """Returns the branch that is followed or flown to."""
+        return self._BranchOf(int(memory.branch), memory, seen)
+
+    def _Course(self, memory: Memory, seen: Seen) -> Course | None:
+        return self._Branch(memory, seen).course
+
+    def _InUse(self, memory: Memory, seen: Seen) -> Branch:
+        """Returns that branch, or the detour on the way to it."""
+        branch = self._Branch(memory, seen)
+        if branch.course is None or memory.first == 0.0:
+            return branch
+        numbers = int(memory.first), int(memory.second), int(memory.rejoin)
+        return DetourBranch(branch.course, *numbers)
+
+    def _Waypoint(self, seen: Seen, memory: Memory) -> int:
+        """Returns the waypoint where a vehicle is that follows a branch."""
+        branch = self._InUse(memory, seen)
+        if branch.course is not None:
+            return branch.WaypointAt(memory.arc)
+        return branch.Nearest(seen.position[: self._dim])[0]
+
+    def _TakeUpOrder(self, seen: Seen, memory: Memory) -> None:
+        """Begins the route that was commanded, from the edge in use, the shortest way."""
+        order = seen.order
+        if order is None or order.number == memory.order:
+            return
+        memory.order = float(order.number)
+        if order.branch != memory.branch:
+            return
+        course, edge = order.route.course, int(memory.edge)
+        assert course is not None
+        memory.flown = memory.first = memory.second = memory.rejoin = 0.0
+        if memory.mode == Mode.TRANSFER:
+            # It is not there yet: the transfer is planned anew.
+            memory.edge = 0.0
+            self._FlyTo(order.branch, seen, memory)
+            return
+        index = 0
+        if edge in course.edges:
+            index = course.edges.index(edge)
+        else:
+            memory.first = float(edge)
+            course = Detour(course, edge, 0, 0)
+        self._PlaceAt(course, course.OnEdge(index, seen.position[: self._dim]), memory)
+
+    def _MoveOn(self, seen: Seen, memory: Memory) -> None:
+        """Looks where a vehicle is on its course, and leaves it or a detour where it is to."""
+        branch, position = self._InUse(memory, seen), seen.position[: self._dim]
+        course = branch.course
+        if course is None:
+            return
+        spot = course.Advance(Spot(int(memory.section), memory.arc), position)
+        if memory.first == 0.0:
+            memory.flown += spot.arc - memory.arc
+        self._PlaceAt(course, spot, memory)
+        index = course.Index(spot)
+        if memory.first != 0.0 and memory.rejoin >= 0.0 and index + 1 == len(course.edges):
+            memory.first, index = 0.0, int(memory.rejoin)
+            course = self._Branch(memory, seen).course
+            assert course is not None
+            self._PlaceAt(course, course.OnEdge(index, position), memory)
+        if seen.next_edge not in (0, course.Following(index)):
+            self._Turn(course, index, seen, memory)
+
+    def _Turn(self, course: Course, index: int, seen: Seen, memory: Memory) -> None:
+        """Goes over the commanded edge next, if it can follow, and then back to the course."""
+        itinerary, number = course.itinerary, course.edges[index]
+        if seen.next_edge not in successors(itinerary.network)[number]:
+            return
+        if itinerary.nodes[index] is None:
+            return  # It ends before the node.
+        own = self._Course(memory, seen)
+        assert own is not None
+        after = int(memory.rejoin) if memory.first != 0.0 else index + 1
+        left = list(range(max(after, 0), len(own.edges)))
+        if own.itinerary.closed:
+            left += range(len(own.edges) - len(left))
+        way = connection(itinerary.network, seen.next_edge, [own.edges[k] for k in left])
+        memory.first, memory.second = float(number), float(seen.next_edge)
+        # Where nothing of the course is left to come to, the commanded edge is the last.
+        memory.rejoin = next((float(k) for k in left if own.edges[k] == way[-1]), -1.0)
+        detour = self._InUse(memory, seen).course
+        assert detour is not None
+        self._PlaceAt(detour, detour.OnEdge(0, seen.position[: self._dim]), memory)
+
+    def _PlaceAt(self, course: Course, spot: Spot, memory: Memory) -> None:
+        memory.section, memory.arc = float(spot.section), spot.arc
+        memory.edge = float(course.edges[course.Index(spot)])
+        memory.direction = course.Direction(spot)
+
+    def _Ends(self, branch: Branch, memory: Memory) -> bool:
+        """Whether a vehicle is to come to rest at the end of what is in use of a network."""
+        leads_on = memory.first != 0.0 and memory.rejoin >= 0.0
+        return branch.course is not None and not (branch.closed or leads_on)
+
+    def _IsAtEnd(self, seen: Seen, memory: Memory) -> bool:
+        """Whether a vehicle is where it is to come to rest."""
+        branch = self._InUse(memory, seen)
+        if branch.course is None or not self._Ends(branch, memory):
+            return False
+        return branch.course.IsCompleted(Spot(int(memory.section), memory.arc))
+
+
+@lru_cache(MAX_LIMITS)
+def DetourBranch(course: Course, first: int, second: int, rejoin: int) -> Branch:
+    """Returns the branch of a `Detour`."""
+    return Branch.Along(Detour(course, first, second, rejoin))
 
 
 def CalcCommands(

@@ -20,6 +20,7 @@ from sgvf_drake.cli.tables import (
     print_folder,
     print_following,
     print_messages,
+    print_routes,
     print_tour,
     print_training,
 )
@@ -92,7 +93,9 @@ def fly(
     speed: Annotated[float, typer.Option(help="Commanded speed, m/s.")] = 0.45,
     laps: Annotated[
         float | None,
-        typer.Option(help="Laps of closed pieces, at least 1  \\[default: 2; of a tour 1]."),
+        typer.Option(
+            help="Laps of closed pieces, at least 1  \\[default: 2; of a tour or a route 1]."
+        ),
     ] = None,
     altitude: Annotated[float, typer.Option(help="Height of a planar flight, m.")] = 1.0,
     scale: Annotated[float, typer.Option(help="Metres in one unit of the waypoints.")] = 1.0,
@@ -100,6 +103,27 @@ def fly(
         str | None,
         typer.Option(help="Pieces to fly in one flight, in this order: 1,2,1."),
     ] = None,
+    route: Annotated[
+        str | None,
+        typer.Option(
+            help="Edges to fly along where paths cross or branch: 1,2,-3, where -3 is edge 3 "
+            "from its end to its start."
+        ),
+    ] = None,
+    to: Annotated[
+        str | None,
+        typer.Option(
+            help="Where paths cross or branch, the point to fly to the shortest way, in the "
+            "unit of the waypoints: 3.5,-2."
+        ),
+    ] = None,
+    cover: Annotated[
+        bool,
+        typer.Option(
+            "--cover",
+            help="Fly over every edge where paths cross or branch, as without an option.",
+        ),
+    ] = False,
     sensors: Annotated[
         bool, typer.Option("--sensors", help="Measure with noise and delay, at 100 Hz.")
     ] = False,
@@ -126,52 +150,98 @@ def fly(
     columns: ReferenceColumns = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Fly Drake's quadrotor along every piece of the path, or from piece to piece."""
+    """Fly Drake's quadrotor along every piece of the path, a route, or from piece to piece."""
     from sgvf_drake.experiments import (
         CertifiedField,
         FlightSpec,
         choose_reference,
         open_field,
         run_fly,
+        run_routes,
         run_tour,
     )
+    from sgvf_drake.fields import DirectedField
     from systems import SensorParameters
 
+    _check_exclusive(tour, route, to, cover)
     pieces = None if tour is None else _pieces_of(tour)
     if tour is not None and certificate is not None:
         raise ConfigurationError(
             f"--certificate {certificate} says nothing of a tour: transfers leave the field"
         )
+    loaded = open_field(field)
+    directed = isinstance(loaded, DirectedField)
     spec = FlightSpec(
         speed=speed,
-        laps=laps if laps is not None else 2.0 if tour is None else 1.0,
+        laps=laps if laps is not None else 1.0 if directed or tour else 2.0,
         altitude=altitude,
         sensors=SensorParameters() if sensors else None,
         seed=seed,
     )
     # Drake tells on its own where every Meshcat listens.
     logging.getLogger("drake").setLevel(logging.WARNING)
-    loaded = open_field(field)
     path, kind = choose_reference(
         loaded, reference, columns_of(columns, reference, "--reference")
     )
     print_messages(path.messages)
     _warn_of_ground(loaded, scale)
     options: dict[str, Any] = {"overwrite": overwrite}
-    if certificate is not None:
+    if isinstance(loaded, DirectedField):
+        if certificate or tube:
+            raise ConfigurationError(
+                f"{certificate or tube} is of a field of the position alone; the field follows "
+                "paths that cross or branch"
+            )
+    elif route is not None or to is not None or cover:
+        raise ConfigurationError(
+            "--route, --to and --cover are for fields of paths that cross or branch"
+        )
+    elif certificate is not None:
         options["certified"] = CertifiedField.open(loaded, certificate, speed, scale)
     if tube is not None and not (html or meshcat):
         raise ConfigurationError(f"--tube {tube} is shown by --html or --meshcat; give one")
     if html or meshcat:
         options["view"] = _view(loaded, scale, speed, html, meshcat, tube or certificate)
     metric, chosen = loaded.rescaled(scale), (path.rescaled(scale), kind)
+    shown = print_flight
     with progress() as report:
-        if pieces is None:
-            summary = run_fly(metric, chosen, out, spec, **options, progress=report)
+        options["progress"] = report
+        if pieces is not None:
+            summary, shown = run_tour(metric, chosen, out, pieces, spec, **options), print_tour
+        elif isinstance(metric, DirectedField):
+            routes = _routes_of(metric, spec, route, to, scale)
+            summary, shown = run_routes(metric, routes, out, spec, **options), print_routes
         else:
-            summary = run_tour(metric, chosen, out, pieces, spec, **options, progress=report)
-    (print_flight if pieces is None else print_tour)(summary)
+            summary = run_fly(metric, chosen, out, spec, **options)
+    shown(summary)
     print_folder(out)
+
+
+def _check_exclusive(tour: str | None, route: str | None, to: str | None, cover: bool) -> None:
+    """Refuses two options that each say where to fly."""
+    given = {"--tour": tour, "--route": route, "--to": to, "--cover": cover or None}
+    names = [name for name, value in given.items() if value is not None]
+    if len(names) > 1:
+        raise ConfigurationError(f"{' and '.join(names)} exclude each other; give one")
+
+
+def _routes_of(
+    field: Any, spec: Any, route: str | None, to: str | None, scale: float
+) -> list[Any]:
+    """Returns the itineraries to be flown; without an option over every edge of each piece."""
+    from sgvf_drake.experiments import covering_routes, to_point
+    from sgvf_drake.paths.itinerary import Itinerary
+
+    network = field.network
+    if route is not None:
+        return [Itinerary.parse(route, network)]
+    if to is not None:
+        try:
+            target = [scale * float(x) for x in to.split(",")]
+        except ValueError:
+            raise ConfigurationError(f"--to {to} is no point, as 3.5,-2 is") from None
+        return [to_point(network, target, spec)]
+    return covering_routes(network)
 
 
 def _pieces_of(tour: str) -> list[int]:

@@ -168,6 +168,28 @@ def print_tour(summary: Mapping[str, Any]) -> None:
         errors.print("warning: the tour was not completed", style="bold red")
 
 
+def print_routes(summary: Mapping[str, Any]) -> None:
+    """Prints the summary of flights along itineraries, a row each."""
+    routes = summary.get("routes", [summary])
+    columns: dict[str, Callable[[Any], str]] = {
+        "edges": lambda route: str(len(route["route"])),
+        "length\n[m]": lambda route: f"{route['route_length_m']:.1f}",
+        "RMS\n[m]": lambda route: _number(route["cross_track_rms_m"]),
+        "max\n[m]": lambda route: _number(route["cross_track_max_m"]),
+        "max in\nturns [m]": lambda route: _number(route["turn_error_max_m"]),
+        "turns\nmade": lambda route: _share(route["turn_fraction"]),
+        "least speed\n[m/s]": lambda route: f"{route['speed_min_m_s']:.2f}",
+        "com-\npleted": lambda route: "yes" if route["route_completed"] else "no",
+    }
+    print_columns("Routes", columns, routes, "right", first="right")
+    if not all(route["route_completed"] for route in routes):
+        errors.print("warning: the route was not completed", style="bold red")
+
+
+def _share(value: float | None) -> str:
+    return "-" if value is None else f"{value:.1%}"
+
+
 def _aim(pieces: Sequence[Mapping[str, Any]]) -> str:
     """Returns the heading of what is to be completed: laps, ends, or both."""
     kinds = {"end" if piece["open"] else "laps" for piece in pieces}

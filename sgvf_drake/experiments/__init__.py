@@ -16,12 +16,14 @@ from sgvf_drake.experiments.fly import FlightResult, fly
 from sgvf_drake.experiments.follow import FollowResult, follow, follow_network
 from sgvf_drake.experiments.importing import run_import
 from sgvf_drake.experiments.reference import choose_reference
+from sgvf_drake.experiments.route import RouteResult, covering_routes, fly_route, to_point
 from sgvf_drake.experiments.runs import (
     open_field,
     open_guiding_field,
     run_demo,
     run_fly,
     run_follow,
+    run_routes,
     run_tour,
     run_train,
 )
@@ -44,16 +46,19 @@ __all__ = [
     "FlightScene",
     "FlightSpec",
     "FollowResult",
+    "RouteResult",
     "TourResult",
     "View",
     "as_flown",
     "check_feasibility",
     "check_theorem",
     "choose_reference",
+    "covering_routes",
     "flight_log",
     "flight_margin",
     "flight_tracking",
     "fly",
+    "fly_route",
     "fly_tour",
     "follow",
     "follow_network",
@@ -65,6 +70,7 @@ __all__ = [
     "run_fly",
     "run_follow",
     "run_import",
+    "run_routes",
     "run_singularities",
     "run_tour",
     "run_train",
@@ -72,6 +78,7 @@ __all__ = [
     "simulate",
     "singularity_figure",
     "theorem_figure",
+    "to_point",
     "tour_figure",
     "tracking_figure",
     "tube_curves",

@@ -1,6 +1,6 @@
 """One flight of the quadrotor: what is asked for, its simulation and its log."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 import time
@@ -15,12 +15,14 @@ from sgvf_drake.arrays import FloatArray
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
 from sgvf_drake.experiments.scene import FlightScene
 from sgvf_drake.experiments.simulation import advance, read_log
-from sgvf_drake.fields import GuidingField
+from sgvf_drake.fields import DirectedField, GuidingField
 from sgvf_drake.lyapunov import LyapunovFunction
 from sgvf_drake.metrics import REST_WINDOW
 from sgvf_drake.paths import ReferencePath
+from sgvf_drake.paths.itinerary import Itinerary
 from sgvf_drake.progress import Progress, no_progress
 from systems import (
+    Branch,
     FieldForSpeed,
     MakeFlightDiagram,
     MakeSimulator,
@@ -45,6 +47,8 @@ FORCE_COLUMNS = ("force_1", "force_2", "force_3", "force_4")
 
 # The vehicle hovers this many U beside the path at the start.
 START_OFFSET = 0.5
+# Of a route, the sides that are tried, and what being farther back is worth, U.
+START_SIDES, AS_GOOD = 16, 0.05
 # Time is added for a way in of this many U, and on an open piece for coming to rest.
 WAY_IN = 4.0
 REST_S = 3.0
@@ -151,6 +155,28 @@ def hover_start(
     return start if len(start) == 3 else np.append(start, altitude)
 
 
+def route_start(itinerary: Itinerary, altitude: float) -> tuple[FloatArray, FloatArray]:
+    """Returns a position (3,) beside the start of an itinerary, and the heading (d,) there.
+
+    It is on that side where the network is farthest, for what is nearest is entered; of sides
+    as good it is the one farthest back.
+
+    Args:
+        itinerary: In metres.
+        altitude: The third coordinate in the plane, m.
+    """
+    network = itinerary.network
+    first, ahead = itinerary.line.at(np.array([0.0, network.sigma]))
+    heading = (ahead - first) / np.linalg.norm(ahead - first)
+    angles = 2 * np.pi / START_SIDES * np.arange(START_SIDES)
+    sides = np.zeros((START_SIDES, network.dim))
+    sides[:, 0], sides[:, 1] = np.cos(angles), np.sin(angles)
+    places = first + START_OFFSET * network.unit_length * sides
+    apart = network.path.project(places).distance / network.unit_length
+    start = places[np.argmax(apart - AS_GOOD * sides @ heading)]
+    return start if len(start) == 3 else np.append(start, altitude), heading
+
+
 def flown_pieces(field: GuidingField, reference: ReferencePath) -> list[int]:
     """Returns the pieces long enough to fly: all but stray points, shorter than one U.
 
@@ -198,6 +224,23 @@ def check_feasibility(
     return Feasibility(speed**2 * float(turning.max()), parameters.max_horizontal_acceleration)
 
 
+def check_branches(
+    field: GuidingField | DirectedField,
+    branches: Sequence[Branch],
+    speed: float,
+    parameters: QuadrotorParameters,
+) -> Feasibility:
+    """Compares the acceleration that branches demand with what the thrust allows.
+
+    On a network that includes the turns of the heading at its nodes.
+    """
+    demands = [
+        np.linalg.norm(branch.MotionAt(field, speed).acceleration, axis=1).max()
+        for branch in branches
+    ]
+    return Feasibility(float(max(demands)), parameters.max_horizontal_acceleration)
+
+
 class SimulatedFlight(NamedTuple):
     """What a simulation of a flight gives.
 
@@ -219,12 +262,15 @@ class SimulatedFlight(NamedTuple):
 
 
 def simulate(
-    field: GuidingField,
+    field: GuidingField | DirectedField,
     reference: ReferencePath,
     spec: FlightSpec,
     piece: int,
     *,
     supervisor: Any = None,
+    heading: FloatArray | None = None,
+    feasibility: Feasibility | None = None,
+    page: str | None = None,
     is_over: Callable[[Context], bool] | None = None,
     rest: float = 0.0,
     lyapunov: LyapunovFunction | None = None,
@@ -240,6 +286,9 @@ def simulate(
         spec: The flight; its start and duration are those of `FlightSpec.along` where open.
         piece: Number of the piece.
         supervisor: Stands between guidance and controller, for a tour; None: there is none.
+        heading: That of a directed field at the start, (d,).
+        feasibility: The demand of the path; None: it is worked out from the reference.
+        page: The name of the page of a scene; None: that of the piece, or of the tour.
         is_over: Tells from the root Context whether the flight is over before its duration
             has passed; asked every 0.1 s.  None: it never is.
         rest: Time for which a flight that is over flies on, s.
@@ -253,10 +302,13 @@ def simulate(
             control.
         NonFiniteValueError: If a value in the loop became NaN or infinite.
     """
-    spec = spec.along(field, reference, piece)
+    if not isinstance(field, DirectedField):
+        spec = spec.along(field, reference, piece)
+        if feasibility is None:
+            feasibility = check_feasibility(field, reference, spec.speed, spec.parameters)
     assert spec.start is not None
     assert spec.duration is not None
-    feasibility = check_feasibility(field, reference, spec.speed, spec.parameters)
+    assert feasibility is not None
     diagram = MakeFlightDiagram(
         field,
         spec.parameters,
@@ -272,14 +324,17 @@ def simulate(
     simulator = MakeSimulator(diagram)
     context = simulator.get_mutable_context()
     SetHover(diagram, context, spec.start)
+    if heading is not None:
+        guidance: Any = diagram.GetSubsystemByName("guidance")
+        guidance.SetHeading(guidance.GetMyMutableContextFromRoot(context), heading)
     SetNoiseSeed(diagram, context, spec.seed)
     watch = None if lyapunov is None else StopOnExit(simulator)
-    over, where, page = False, f"piece {piece + 1}", f"flight_{piece + 1}"
+    over, where, shown = False, f"piece {piece + 1}", f"flight_{piece + 1}"
     if supervisor is not None:
-        where, page = "the tour", "tour"
+        where, shown = "the tour", "tour"
     with (
         _lost_control_named(where, spec.speed, feasibility),
-        nullcontext() if scene is None else scene.show(simulator, page),
+        nullcontext() if scene is None else scene.show(simulator, page or shown),
     ):
         begin = time.perf_counter()
         if is_over is None:
@@ -331,8 +386,9 @@ def flight_log(diagram: Diagram, context: Context) -> pd.DataFrame:
     """Returns what the logs of a flight diagram hold, as one table of one row a sample.
 
     Its columns are the time (s), the state (x ... yaw_rate, SI), the velocity command (m/s)
-    and the propeller forces (N); with a supervisor its mode and branch; and with a Lyapunov
-    function V and V_dot (1/s).
+    and the propeller forces (N); with a supervisor its mode and branch, and with a directed
+    field the edge in use and the arc length on the itinerary (m); and with a Lyapunov function
+    V and V_dot (1/s).
 
     Args:
         diagram: From `systems.MakeFlightDiagram`, with logs.
@@ -346,6 +402,8 @@ def flight_log(diagram: Diagram, context: Context) -> pd.DataFrame:
         ("propeller_force", FORCE_COLUMNS),
         ("mode", ("mode",)),
         ("branch", ("branch",)),
+        ("edge", ("edge",)),
+        ("arc", ("arc",)),
         ("V", ("V",)),
         ("V_dot", ("V_dot",)),
     ):
@@ -353,7 +411,7 @@ def flight_log(diagram: Diagram, context: Context) -> pd.DataFrame:
             _, values = read_log(diagram, context, f"{name}_log")
             tables.append(pd.DataFrame(values, columns=list(columns)))
     log = pd.concat(tables, axis=1)
-    return log.astype({name: int for name in ("mode", "branch") if name in log})
+    return log.astype({name: int for name in ("mode", "branch", "edge") if name in log})
 
 
 def positions_of(log: pd.DataFrame, dim: int) -> FloatArray:

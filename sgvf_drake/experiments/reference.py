@@ -4,12 +4,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.fields import GuidingField
+from sgvf_drake.fields import DirectedField, GuidingField
 from sgvf_drake.paths import ReferencePath
 
 
 def choose_reference(
-    field: GuidingField,
+    field: GuidingField | DirectedField,
     file: str | Path | None = None,
     columns: Sequence[str | int] | None = None,
     *,
@@ -25,14 +25,21 @@ def choose_reference(
             first.
 
     Returns:
-        The reference and `file`, `shape` (the field was trained on a named shape) or
-        `cloud` (the paths that were found in the waypoints).
+        The reference and `file`, `shape` (the field was trained on a named shape), `cloud`
+        (the paths that were found in the waypoints) or `network` (of a directed field).
 
     Raises:
         PointCloudError: If the file cannot be read.
         ConfigurationError: If the file has another dimension than the field, or is in
-            degrees and the field's waypoints were not.
+            degrees and the field's waypoints were not; or if it is given for a directed field.
     """
+    if isinstance(field, DirectedField):
+        if file is not None:
+            raise ConfigurationError(
+                f"{file}: a field of paths that cross or branch is measured against its own "
+                "network, not a reference"
+            )
+        return field.network.path, "network"
     if file is not None:
         origin = field.cloud.origin
         path = ReferencePath.read(file, columns, closed, origin)

@@ -24,10 +24,17 @@ from sgvf_drake.experiments.results import (
     save_figure,
     write_summary,
 )
+from sgvf_drake.experiments.route import fly_route, routes_summary
 from sgvf_drake.experiments.scene import NO_VIEW, View
 from sgvf_drake.experiments.tour import fly_tour
 from sgvf_drake.experiments.velocity_error import flight_margin, margin_summary
-from sgvf_drake.fields import DirectedField, GuidingField, load_field, load_guiding_field
+from sgvf_drake.fields import (
+    DirectedField,
+    GuidingField,
+    ScoreInducedField,
+    load_field,
+    load_guiding_field,
+)
 from sgvf_drake.learning.recipes import RECIPES
 from sgvf_drake.paths import PathNetwork, ReferencePath, make_shape
 from sgvf_drake.paths.itinerary import Itinerary
@@ -37,6 +44,7 @@ from systems import FieldForSpeed
 FIELD_FILE = "field.safetensors"
 TRAIN_FILES = (SUMMARY, FIELD_FILE, "losses.csv", "field.png")
 FOLLOW_FILES = (SUMMARY, "trajectories.parquet", "follow.png")
+ROUTE_KINDS = ("parquet", "png", "html")
 TOUR_FILES = (SUMMARY, "tour.parquet", "tour.png", "tour.html")
 # Of the demo: the paper's first flight scenario.
 DEMO_SHAPE, DEMO_STARTS = "concentric-flight", 100
@@ -256,8 +264,40 @@ def run_fly(
     return summary
 
 
+def run_routes(
+    field: DirectedField,
+    routes: Sequence[Itinerary],
+    out: Folder,
+    spec: FlightSpec,
+    *,
+    view: View = NO_VIEW,
+    overwrite: bool = False,
+    progress: Progress = no_progress,
+) -> dict[str, Any]:
+    """Flies along itineraries as `fly_route` does; leaves a log and a figure each, the summary.
+
+    The files are named `route`, those of several `route_1` and so on.
+    """
+    names = ["route", *(f"route_{n + 1}" for n in range(field.network.num_pieces))]
+    files = (SUMMARY, *(f"{name}.{kind}" for name in names for kind in ROUTE_KINDS))
+    stems = names[:1] if len(routes) == 1 else names[1:]
+    with result_folder(out, files, overwrite=overwrite) as folder:
+        scene = view.scene(folder)
+        if scene is not None:
+            scene.draw(field, spec.speed, spec.altitude)
+        results = []
+        for name, route in zip(stems, routes, strict=True):
+            result = fly_route(field, route, spec, page=name, scene=scene, progress=progress)
+            result.log.to_parquet(folder / f"{name}.parquet")
+            save_figure(figures.route_figure(field, result), folder / f"{name}.png")
+            results.append(result)
+        summary = {**routes_summary(results), **_flight_origin(field, "network", spec)}
+        write_summary(folder, summary)
+    return summary
+
+
 def run_tour(
-    field: GuidingField,
+    field: GuidingField | DirectedField,
     reference: tuple[ReferencePath, str] | None,
     out: Folder,
     tour: Sequence[int],
@@ -280,7 +320,9 @@ def run_tour(
     return summary
 
 
-def _flight_origin(field: GuidingField, reference: str, spec: FlightSpec) -> dict[str, Any]:
+def _flight_origin(
+    field: ScoreInducedField, reference: str, spec: FlightSpec
+) -> dict[str, Any]:
     """Returns what a flight was measured against and by, and where its field comes from."""
     sensors = spec.sensors and {**asdict(spec.sensors), "seed": spec.seed}
     return {"reference": reference, "sensors": sensors, **origin(field)}

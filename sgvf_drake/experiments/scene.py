@@ -10,7 +10,7 @@ import numpy as np
 from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import Simulator
 
-from sgvf_drake.fields import FloatArray, GuidingField
+from sgvf_drake.fields import DirectedField, FloatArray, GuidingField
 from systems import (
     DrawField,
     DrawTube,
@@ -39,8 +39,10 @@ class FlightScene:
     live: bool = False
     tube: Sequence[FloatArray] = ()
 
-    def draw(self, field: GuidingField, speed: float, altitude: float) -> None:
+    def draw(self, field: GuidingField | DirectedField, speed: float, altitude: float) -> None:
         """Draws what stands still: the waypoints, the field as it is flown, the tube.
+
+        A directed field has no arrows: they differ with the heading.
 
         Args:
             field: In metres.
@@ -52,7 +54,8 @@ class FlightScene:
             altitude = float(np.mean([bound[2] for bound in cloud.box]))
         SetView(self.meshcat, cloud.box, altitude)
         DrawWaypoints(self.meshcat, cloud.points, altitude)
-        DrawField(self.meshcat, FieldForSpeed(field, speed), cloud.box, altitude)
+        if not isinstance(field, DirectedField):
+            DrawField(self.meshcat, FieldForSpeed(field, speed), cloud.box, altitude)
         if self.tube:
             DrawTube(self.meshcat, self.tube, altitude)
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -18,13 +19,15 @@ from sgvf_drake.experiments.flight import (
     WAY_IN,
     Feasibility,
     FlightSpec,
+    check_branches,
     check_feasibility,
     flown_pieces,
+    route_start,
     simulate,
     velocities_of,
 )
 from sgvf_drake.experiments.scene import FlightScene
-from sgvf_drake.fields import GuidingField
+from sgvf_drake.fields import DirectedField, FloatArray, GuidingField
 from sgvf_drake.metrics import REACH_DISTANCE, REST_WINDOW
 from sgvf_drake.paths import ReferencePath
 from sgvf_drake.progress import Progress, no_progress
@@ -69,7 +72,7 @@ class TourResult:
             "completed": self.completed,
             "cross_track_rms_m": max(leg["cross_track_rms_m"] for leg in self.legs),
             "cross_track_max_m": max(leg["cross_track_max_m"] for leg in self.legs),
-            **_speed_figures(self.log[self.log["time"] > TAKE_OFF_S]),
+            **speed_figures(self.log[self.log["time"] > TAKE_OFF_S]),
             "motor_force_min_n": float(forces.min()),
             "motor_force_max_n": float(forces.max()),
             "motor_force_limit_n": self.parameters.max_propeller_force,
@@ -83,7 +86,7 @@ class TourResult:
 
 
 def fly_tour(
-    field: GuidingField,
+    field: GuidingField | DirectedField,
     reference: ReferencePath,
     tour: Sequence[int],
     spec: FlightSpec | None = None,
@@ -97,7 +100,8 @@ def fly_tour(
     Args:
         field: The field, in metres; planar or spatial.
         reference: What the flight is measured against, in metres.
-        tour: Numbers of pieces of the reference, in the order in which they are flown.
+        tour: Numbers of pieces of the reference, or of the network of a directed field, in the
+            order in which they are flown.
         spec: How they are flown; None: as `FlightSpec` has it, but for one lap.
         progress: Is told how far the simulation is.
         scene: Shows the flight; None: nothing does.
@@ -117,16 +121,16 @@ def fly_tour(
         field, branches, [*stops, stops[-1]], spec.laps, spec.parameters, box=field.cloud.box
     )
 
-    def is_over(context: Context) -> bool:
-        own = supervisor.GetMyContextFromRoot(context)
-        memory = Memory.FromVector(own.get_discrete_state(0).CopyToVector())
-        return memory.stop == len(stops)
-
     flown, unit = [branches[stop] for stop in stops], field.cloud.unit_length
     rest = (START_OFFSET + REST_WINDOW) * unit / spec.speed + REST_S
-    if spec.duration is None:
+    heading = None
+    if isinstance(field, DirectedField):
+        feasibility = check_branches(field, flown, spec.speed, spec.parameters)
+        spec, heading = start_along(spec, flown[0])
+    else:
         feasibility = check_feasibility(field, reference, spec.speed, spec.parameters)
-        spec = replace(spec, duration=_time_limit(flown, spec, feasibility, unit))
+    if spec.duration is None:
+        spec = replace(spec, duration=time_limit(flown, spec, feasibility, unit))
     if scene is not None:
         scene.draw(field, spec.speed, spec.altitude)
     simulated = simulate(
@@ -135,7 +139,9 @@ def fly_tour(
         spec,
         tour[0],
         supervisor=supervisor,
-        is_over=is_over,
+        heading=heading,
+        feasibility=feasibility,
+        is_over=partial(has_flown, supervisor, len(stops)),
         rest=0.0 if flown[-1].closed else rest,
         scene=scene,
         progress=progress,
@@ -154,11 +160,28 @@ def fly_tour(
     )
 
 
+def has_flown(supervisor: Any, stops: int, context: Context) -> bool:
+    """Tells from the root Context whether a supervisor has come to a place of its tour."""
+    own = supervisor.GetMyContextFromRoot(context)
+    return Memory.FromVector(own.get_discrete_state(0).CopyToVector()).stop == stops
+
+
+def start_along(spec: FlightSpec, branch: Branch) -> tuple[FlightSpec, FloatArray]:
+    """Returns the spec with a start beside the itinerary of a branch, and the heading there."""
+    assert branch.course is not None
+    start, heading = route_start(branch.course.itinerary, spec.altitude)
+    return replace(spec, start=spec.start or tuple(start.tolist())), heading
+
+
 def _branches_of(
-    field: GuidingField, reference: ReferencePath
+    field: GuidingField | DirectedField, reference: ReferencePath
 ) -> tuple[list[int], tuple[Branch, ...]]:
     """Returns the piece of the reference that each branch of the field is, and these."""
     unit = field.cloud.unit_length
+    if isinstance(field, DirectedField):
+        own = MakeBranches(field)
+        numbers = [number for number, branch in enumerate(own) if branch.length >= unit]
+        return numbers, tuple(own[number] for number in numbers)
     branches = [one for one in MakeBranches(field, field.path) if one.length >= unit]
     pieces = [
         int(np.bincount(reference.project(branch.points).piece).argmax()) for branch in branches
@@ -177,7 +200,7 @@ def _stop(pieces: Sequence[int], piece: int) -> int:
     return pieces.index(piece)
 
 
-def _time_limit(
+def time_limit(
     branches: Sequence[Branch], spec: FlightSpec, feasibility: Feasibility, unit_length: float
 ) -> float:
     """Returns a time by which a tour is over, s."""
@@ -223,12 +246,13 @@ def _legs_and_transfers(
 def _motion_figures(part: pd.DataFrame) -> dict[str, float]:
     forces = part[list(FORCE_COLUMNS)].to_numpy()
     return {
-        **_speed_figures(part),
+        **speed_figures(part),
         "motor_force_min_n": float(forces.min()),
         "motor_force_max_n": float(forces.max()),
     }
 
 
-def _speed_figures(part: pd.DataFrame) -> dict[str, float]:
+def speed_figures(part: pd.DataFrame) -> dict[str, float]:
+    """Returns the least and the greatest speed in a part of a log, m/s."""
     speed = np.linalg.norm(velocities_of(part), axis=1)
     return {"speed_min_m_s": float(speed.min()), "speed_max_m_s": float(speed.max())}

@@ -3,6 +3,7 @@
 from typing import Protocol, runtime_checkable
 
 from sgvf_drake.arrays import FloatArray as FloatArray
+from sgvf_drake.paths import PathNetwork
 
 
 @runtime_checkable
@@ -66,6 +67,18 @@ class SteerableField(Protocol):
 
     def with_memory(self) -> MotionField:
         """Returns the motion of robots whose intended direction is their own heading."""
+
+
+class NetworkField(SteerableField, Protocol):
+    """A field m(x, g) that follows a network of paths."""
+
+    @property
+    def network(self) -> PathNetwork:
+        """The network, in the field's unit of length."""
+
+    @property
+    def memory_length(self) -> float:
+        """The scale of the field: over this distance a heading turns."""
 
 
 class PointField(Protocol):

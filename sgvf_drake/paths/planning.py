@@ -1,7 +1,7 @@
 """Plans itineraries: the shortest one to a point, and one over every edge."""
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 import itertools
 
@@ -75,6 +75,29 @@ def shortest(
         # Where it stops at a node, the rest of the edge is not travelled.
         stops=lengths[kept[-1]] - cuts[kept[-1]][1] > least,
     )
+
+
+def connection(network: PathNetwork, start: int, targets: Iterable[int]) -> list[int]:
+    """Returns the edges from one to the nearest of others, both included, the shortest way.
+
+    Args:
+        network: The network.
+        start: The number of the first edge, negative if it is travelled backwards.
+        targets: Those of the edges of which it leads to one.
+
+    Returns:
+        The numbers of the edges; none if no target can be reached.
+    """
+    graph = nx.DiGraph()
+    for number, after in successors(network).items():
+        graph.add_weighted_edges_from(
+            (number, k, network.edges[abs(k) - 1].length) for k in after
+        )
+    if start not in graph:
+        return []
+    lengths, ways = nx.single_source_dijkstra(graph, start)
+    reached = [target for target in targets if target in lengths]
+    return ways[min(reached, key=lengths.__getitem__)] if reached else []
 
 
 def covering(network: PathNetwork, piece: int = 0, start: ArrayLike | None = None) -> Itinerary:

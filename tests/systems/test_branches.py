@@ -89,13 +89,13 @@ def test_open_branch_starts_where_the_field_starts(sense):
 
 def test_entries_move_with_the_field():
     field = Rotations((0.0, 0.0))
-    entries = ring(2.0).Entries(field, SPEED)
+    entries = ring(2.0).MotionAt(field, SPEED)
     np.testing.assert_allclose(np.linalg.norm(entries.velocity, axis=1), SPEED)
     np.testing.assert_allclose(entries.acceleration, -(SPEED**2) / 2.0 * UNIT, atol=1e-12)
     # An open branch is entered near its start, unless anywhere.
     branch = Branch(UNIT[:50], 3.9, False)
-    np.testing.assert_array_equal(branch.Entries(field, SPEED).position, UNIT[:5])
-    assert len(branch.Entries(field, SPEED, anywhere=True).position) == 50
+    np.testing.assert_array_equal(branch.Entrances(), range(5))
+    np.testing.assert_array_equal(branch.Entrances(anywhere=True), range(50))
     index, distance = ring().Nearest(3.0 * UNIT[17])
     assert (index, distance) == (17, pytest.approx(2.0))
 
@@ -134,10 +134,10 @@ def test_departure_waits_for_a_better_place():
     centers = (-1.5, 0.0), (1.5, 0.0)
     field = Rotations(*centers)
     here, there = ring(1.0, centers[0]), ring(1.0, centers[1])
-    entries = there.Entries(field, SPEED)
+    entries = there.MotionAt(field, SPEED)
 
     def cost(position):
-        start = here.Entries(field, SPEED)
+        start = here.MotionAt(field, SPEED)
         index, _ = here.Nearest(position)
         motion = Motion(*(values[index] for values in start))
         return PlanTransfer(motion, entries, SPEED, MAX_ACCELERATION).cost
@@ -145,7 +145,8 @@ def test_departure_waits_for_a_better_place():
     delays = []
     for angle in np.linspace(0.0, 2 * np.pi, 6, endpoint=False):
         position = centers[0] + np.array([math.cos(angle), math.sin(angle)])
-        delay = DepartureDelay(field, here, there, position, SPEED, MAX_ACCELERATION)
+        waypoint, _ = here.Nearest(position)
+        delay = DepartureDelay(field, here, there, waypoint, SPEED, MAX_ACCELERATION)
         turned = angle + SPEED * delay
         departure = centers[0] + np.array([math.cos(turned), math.sin(turned)])
         # A few entries only are tried in the forecast: a tenth is left to it.
@@ -157,8 +158,8 @@ def test_departure_waits_for_a_better_place():
 
 def test_departure_between_concentric_rings_needs_no_waiting():
     field = Rotations((0.0, 0.0))
-    for position in UNIT[::13]:
-        assert DepartureDelay(field, ring(), ring(2.0), position, SPEED, 15.0) < 0.5
+    for waypoint in range(0, len(UNIT), 13):
+        assert DepartureDelay(field, ring(), ring(2.0), waypoint, SPEED, 15.0) < 0.5
 
 
 @pytest.mark.parametrize(

@@ -12,12 +12,15 @@ from sgvf_drake.clouds import PointCloud
 from sgvf_drake.experiments.figures.network import draw_network
 from sgvf_drake.experiments.fly import FlightResult, PieceFlight
 from sgvf_drake.experiments.follow import FollowResult
+from sgvf_drake.experiments.route import RouteResult
 from sgvf_drake.experiments.tour import TourResult
 from sgvf_drake.fields import DirectedField, Field, GuidingField
 from systems import Mode
 
 # Behind the times of a transfer.
 SHADE = "#f3d9b1"
+# In the title of a route.
+MOST_EDGES = 12
 
 
 def field_figure(
@@ -29,7 +32,7 @@ def field_figure(
     """
     figure, axes = plotting.new_figure(1, columns, 5.2 * columns, 4.6)
     if field.dim == 2:
-        _plot_behind(axes[0], field)
+        _plot_behind(axes[0], field, field.cloud)
         plotting.plot_waypoints(axes[0], field.cloud.points)
         directed = isinstance(field, DirectedField)
         title = "network of paths" if directed else "guiding field"
@@ -38,12 +41,12 @@ def field_figure(
     return figure, axes
 
 
-def _plot_behind(axes: Axes, field: GuidingField | DirectedField) -> None:
+def _plot_behind(axes: Axes, field: Field, cloud: PointCloud) -> None:
     """Draws what agents move over: the field, or the network of a directed one."""
     if isinstance(field, DirectedField):
-        draw_network(axes, field.cloud.points, field.network)
+        draw_network(axes, cloud.points, field.network)
     else:
-        plotting.plot_field(axes, field, field.cloud.box)
+        plotting.plot_field(axes, field, cloud.box)
 
 
 def training_figure(field: GuidingField | DirectedField, history: pd.DataFrame) -> Figure:
@@ -59,7 +62,7 @@ def follow_figure(field: GuidingField | DirectedField, result: FollowResult) -> 
     """Returns trajectories over the field, and the cross-track error over time."""
     figure, axes = plotting.new_figure(1, 2, 11, 5.2)
     if field.dim == 2:
-        _plot_behind(axes[0], field)
+        _plot_behind(axes[0], field, field.cloud)
     followed = result.metrics.followed
     plotting.plot_trajectories(axes[0], result.positions, followed)
     plotting.plot_waypoints(axes[0], field.cloud.points)
@@ -104,13 +107,24 @@ def tour_figure(field: Field, cloud: PointCloud, result: TourResult) -> Figure:
     return figure
 
 
+def route_figure(field: DirectedField, result: RouteResult) -> Figure:
+    """Returns the same of a flight along an itinerary, over the network."""
+    limit = result.spec.parameters.max_propeller_force
+    figure, axes = _flight_panels(field, field.cloud, result.log, limit, zoom=True)
+    edges = ", ".join(str(number) for number in result.itinerary.edges[:MOST_EDGES])
+    more = ", ..." if len(result.itinerary.edges) > MOST_EDGES else ""
+    plotting.plane_axes(axes[0], "m", f"route {edges}{more}")
+    _plane_legend(axes[0], transfers=False)
+    return figure
+
+
 def _flight_panels(
     field: Field, cloud: PointCloud, log: pd.DataFrame, force_limit: float, zoom: bool
 ) -> tuple[Figure, list[Axes]]:
     """Returns a figure of the plane, the error, the velocity and the forces of a flight."""
     figure, axes = plotting.new_figure(2, 2, 12, 8.5)
     if field.dim == 2:
-        plotting.plot_field(axes[0], field, cloud.box)
+        _plot_behind(axes[0], field, cloud)
     plotting.plot_waypoints(axes[0], cloud.points)
     plotting.plot_trajectories(axes[0], log[["x", "y"]].to_numpy()[:, None, :])
     errors = log["cross_track_error"].to_numpy()[:, None]
