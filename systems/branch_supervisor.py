@@ -71,16 +71,11 @@ def BranchSupervisor_(T: type) -> Any:  # noqa: D103 (the class below says it)
             - acceleration_feedforward
             - speed
             - measurement_age
-            - heading (with a directed field)
-            - next_edge (with a directed field)
             output_ports:
             - velocity_command
             - acceleration_feedforward
             - mode
             - branch
-            - intended_direction (with a directed field)
-            - edge (with a directed field)
-            - arc (with a directed field)
 
         The inputs are those of the controller and of `GuidanceSystem`: `state` (12),
         `velocity_command` (3) in m/s and `acceleration_feedforward` (3) in m/s^2 in W, and
@@ -91,16 +86,18 @@ def BranchSupervisor_(T: type) -> Any:  # noqa: D103 (the class below says it)
         guidance's.  `mode` (1) is a `Mode` and `branch` (1) the number of the branch that is
         followed or flown to; both are for logs.
 
-        A branch of a directed field has an itinerary on its network, and the supervisor then
-        gives `intended_direction` (d) to guidance, of no unit: about a node the direction of
-        the exit, between nodes that of the edge, and zero at the end of an open itinerary,
-        where the vehicle stops.  It finds its place on the itinerary by `heading` (d) of
-        guidance when it comes to a branch, and by the position from then on.  `edge` (1) is
-        the number of the edge in use, from 1, negative if it is travelled backwards, and
-        `arc` (1) the arc length in m on the itinerary, which laps count on.  Another itinerary
-        is commanded by `SetRoute`, the next turn alone by `next_edge` (1): where the edge of
-        that number can follow at the next node it does, and then the vehicle comes back to its
-        itinerary the shortest way.  0, and not connected, commands nothing.
+        A branch of a directed field has an itinerary on its network, and then there are more
+        ports.  The output `intended_direction` (d), of no unit, is for guidance: about a node
+        it is the direction of the exit, between nodes that of the edge, and zero at the end of
+        an open itinerary, where the vehicle stops.  The output `edge` (1) is the number of the
+        edge in use, from 1, negative if it is travelled backwards, and `arc` (1) the arc length
+        in m on the itinerary, which laps count on.
+
+        The place on the itinerary is found anew by the input `heading` (d), guidance's, when
+        the vehicle comes to a branch, and by the position from then on.  Another itinerary is
+        commanded by `SetRoute`, the next turn alone by the input `next_edge` (1): where the
+        edge of that number can follow at the next node it does, and then the vehicle comes
+        back to its itinerary the shortest way.  0, and not connected, commands nothing.
 
         Every `period` the supervisor decides on its mode:
 

@@ -348,7 +348,9 @@ def PlanTransfer(
     )
 
 
-def PlanStop(start: Motion, max_acceleration: float) -> Transfer:
+def PlanStop(
+    start: Motion, max_acceleration: float, goal: FloatArray | None = None
+) -> Transfer:
     """Returns a motion that brings a vehicle to rest.
 
     The speed falls as a cubic, which fixes where it stops.  From a start without
@@ -357,10 +359,12 @@ def PlanStop(start: Motion, max_acceleration: float) -> Transfer:
     Args:
         start: The motion at the start, (d,).
         max_acceleration: In m/s^2, that this greatest deceleration has to keep.
+        goal: Where it comes to rest, (d,) in m; None: where the cubic ends.
     """
     p, v, a = start
     T = max(STOPPING_TIME, 1.5 * float(np.linalg.norm(v)) / max_acceleration)
-    rest = Motion(p + v * T / 2.0 + a * T**2 / 12.0, np.zeros_like(v), np.zeros_like(a))
+    end = p + v * T / 2.0 + a * T**2 / 12.0
+    rest = Motion(end if goal is None else goal, np.zeros_like(v), np.zeros_like(a))
     return Transfer(_ControlPoints(start, rest, np.array(T)), T, cost=T, violation=0.0)
 
 

@@ -15,7 +15,7 @@ from sgvf_drake.paths.navigator import Navigator, NavigatorState
 from sgvf_drake.paths.planning import connection
 
 STEP = 0.125
-"""Headings, and places on an edge, are found in steps of this part of the memory length."""
+"""A place on an edge is looked for in steps of this part of the memory length."""
 
 KEPT_WAYS = 32
 """Ways from an edge to a course that are kept."""
@@ -119,26 +119,25 @@ class Course:
         """Returns the headings (n, d) of a vehicle at arc lengths (n,), and how they turn.
 
         A heading turns to the intended direction g by dh/ds = (g - h) / memory length; on a
-        closed course it does so since the lap before.
+        closed course it has done so since the lap before.
 
         Args:
-            arcs: In m, rising.
+            arcs: In m, of one lap.
         """
-        length = self.itinerary.length
-        count = math.ceil(length / (STEP * self.memory_length))
-        step = length / count
-        places = step * (np.arange(count) + 0.5)
-        intended = self.navigator.direction(self.navigator.at(np.asarray(places, np.float64)))
-        share = -math.expm1(-step / self.memory_length)
+        sections = self.navigator.sections
+        begins = np.array([section.begin for section in sections])
+        intended = np.array([section.direction for section in sections])
+        left = np.exp([(s.begin - s.end) / self.memory_length for s in sections])
         h = intended[0]
         for _ in range(1 + self.itinerary.closed):
-            headings = [h]
-            for g in intended:
-                h = h + share * (g - h)
-                headings.append(h)
-        at = np.minimum((arcs / step).astype(np.intp), count - 1)
-        chosen = np.array(headings)[at]
-        return chosen, (intended[at] - chosen) / self.memory_length
+            first = []
+            for g, share in zip(intended, left, strict=True):
+                first.append(h)
+                h = g + share * (h - g)
+        at = np.searchsorted(begins, arcs, side="right") - 1
+        g, share = intended[at], np.exp((begins[at] - arcs) / self.memory_length)[:, None]
+        behind = share * (np.array(first)[at] - g)
+        return g + behind, -behind / self.memory_length
 
 
 @lru_cache(KEPT_WAYS)

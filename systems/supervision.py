@@ -358,7 +358,10 @@ class Supervision:
             self._PlaceAt(branch.course, branch.course.At(arc), memory)
 
     def _Stop(self, seen: Seen, memory: Memory) -> None:
-        plan = PlanStop(self._Motion(seen, memory), self.max_acceleration)
+        goal = None
+        if self._IsAtEnd(seen, memory):
+            goal = self._InUse(memory, seen).points[-1]
+        plan = PlanStop(self._Motion(seen, memory), self.max_acceleration, goal)
         self._Begin(Mode.HOLD, plan, seen, memory)
 
     def _Land(self, seen: Seen, memory: Memory) -> None:

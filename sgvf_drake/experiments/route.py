@@ -37,6 +37,8 @@ from systems.branches import STOPPING_TIME
 NEAR_TURN = 2.0
 # So many sigma from an end a vehicle may turn round: its speed is not judged there.
 NEAR_END = END + 2.0
+# Of the first edge of a loop, what is flown once more.
+BEYOND = 0.6
 # Figures of which the largest of all routes is told, and those of which the smallest is.
 LARGEST = ("cross_track_rms_m", "cross_track_max_m", "turn_error_max_m", "motor_force_max_n")
 SMALLEST = ("route_completed", "turn_fraction", "speed_min_m_s", "real_time_factor")
@@ -111,7 +113,7 @@ def to_point(network: PathNetwork, target: Sequence[float], spec: FlightSpec) ->
 
 
 def covering_routes(network: PathNetwork) -> list[Itinerary]:
-    """Returns the itinerary over every edge of each piece; stray ones, below one U, are left."""
+    """Returns the itinerary over every edge of each piece; not of strays, below one U."""
     whole = [covering(network, piece) for piece in range(network.num_pieces)]
     return [route for route in whole if route.length >= network.unit_length]
 
@@ -158,9 +160,9 @@ def fly_route(
     if spec.duration is None:
         limit = time_limit((branch,), spec, feasibility, field.cloud.unit_length)
         spec = replace(spec, duration=limit)
-    # A loop is flown on to the middle of its first edge, where the last turn shows.
+    # A loop is flown on beyond the middle of its first edge, where the last turn shows.
     lengths = np.diff(np.append(itinerary.starts, itinerary.length))
-    rest = float(lengths[0]) / spec.speed if itinerary.closed else REST_S
+    rest = BEYOND * float(lengths[0]) / spec.speed if itinerary.closed else REST_S
     simulated = simulate(
         field,
         field.network.path,

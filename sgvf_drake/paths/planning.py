@@ -91,7 +91,7 @@ def connection(network: PathNetwork, start: int, targets: Iterable[int]) -> list
     graph = nx.DiGraph()
     for number, after in successors(network).items():
         graph.add_weighted_edges_from(
-            (number, k, network.edges[abs(k) - 1].length) for k in after
+            (number, k, network.edges[abs(number) - 1].length) for k in after
         )
     if start not in graph:
         return []
