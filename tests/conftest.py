@@ -7,10 +7,12 @@ import json
 
 import pytest
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.fields import load_field
 from sgvf_drake.paths import make_shape
 from tests.data.make import field_file, open_circle
 from tests.fields import random_field, random_perceptron
+from tests.networks import SHAPES
 
 RECIPES = ("robust", "exact", "paper")
 
@@ -49,6 +51,27 @@ paper_field = stored_field_fixture("paper")
 flight_field = stored_field_fixture("flight")
 open_field = stored_field_fixture("open")
 half_circle_field = stored_field_fixture("half_circle")
+
+
+def directed_field(name, size=6.0, count=300):
+    """An exact field of a shape of tests/networks.py, of a size in m, at the origin."""
+    from sgvf_drake.learning import TrainingConfig, train
+
+    points = SHAPES[name].sample(count, 0.0, random=False, seed=0) * size / 8
+    points -= (points.min(axis=0) + points.max(axis=0)) / 2
+    return train(PointCloud(points), TrainingConfig(recipe="exact", max_restarts=0)).field
+
+
+@pytest.fixture(scope="session")
+def tee_field():
+    """A directed field of a T: a bar of 6 m with a stem of 3 m below it."""
+    return directed_field("T")
+
+
+@pytest.fixture(scope="session")
+def eight_field():
+    """A directed field of an eight, 6 m wide."""
+    return directed_field("eight")
 
 
 @pytest.fixture(scope="session")

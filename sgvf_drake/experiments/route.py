@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+import math
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from sgvf_drake.arrays import BoolArray, FloatArray
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments.flight import (
     FORCE_COLUMNS,
+    LOG_PERIOD,
     REST_S,
     TAKE_OFF_S,
     Feasibility,
@@ -24,6 +26,7 @@ from sgvf_drake.experiments.scene import FlightScene
 from sgvf_drake.experiments.tour import has_flown, speed_figures, start_along, time_limit
 from sgvf_drake.fields import DirectedField
 from sgvf_drake.metrics import REACH_DISTANCE, SETTLE_DISTANCE
+from sgvf_drake.network_metrics import WAY_OFF
 from sgvf_drake.passages import errors_in_use, passages, turn_fraction
 from sgvf_drake.paths import PathNetwork
 from sgvf_drake.paths.itinerary import Itinerary
@@ -52,7 +55,7 @@ class RouteResult:
         itinerary: The itinerary, in metres.
         log: As that of a tour, with the edge in use, the arc length on the itinerary, and the
             distance from the edges in use as the error.
-        figures: By the names of `summary.json`.
+        figures: By the names of `summary.json`; errors count from one U after the first reach.
         feasibility: The demand of the itinerary at the commanded speed.
         spec: How it was flown.
     """
@@ -195,6 +198,9 @@ def _figures(
     turned, ends = _turned(itinerary, sigma)
     error, unit = log["cross_track_error"].to_numpy(), network.unit_length
     came = np.maximum.accumulate(error <= REACH_DISTANCE * unit)
+    way_off = math.ceil(WAY_OFF * unit / spec.speed / LOG_PERIOD)
+    came[way_off:] = came[: len(came) - way_off]
+    came[:way_off] = False
     flies = came & (log["mode"] == Mode.FOLLOW).to_numpy()
     in_turn = _near(positions, turned, NEAR_TURN * sigma)
     moving = flies & (log["time"] > TAKE_OFF_S).to_numpy()

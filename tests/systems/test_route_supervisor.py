@@ -17,32 +17,27 @@ from systems import BranchAlong, BranchSupervisor, FieldForSpeed, MakeBranches, 
 from systems.courses import Detour
 from systems.supervision import Memory
 from tests.helpers import circle
-from tests.networks import SHAPES, straight_network
+from tests.networks import straight_network
 
 from .flying import RINGS, SPEED, TWO_RINGS, Flight, rms
 
-# m; small, so that flights are short.
+# m; of the T.
 SIZE = 6.0
-STEM, NORTH = np.array([0.0, -3.0]), np.array([0.0, 1.0])
+LEFT, RIGHT, BELOW = [-3.0, 1.5], [3.0, 1.5], [0.0, -1.5]
+NORTH = np.array([0.0, 1.0])
 
 
-def directed(points):
+@pytest.fixture(scope="module")
+def tee(tee_field):
+    """A T: a bar from (-3, 1.5) to (3, 1.5), and a stem down to (0, -1.5)."""
+    return tee_field
+
+
+@pytest.fixture(scope="module")
+def tee_and_ring(tee):
+    """The same with a ring of 1 m to the right of its stem."""
+    points = np.concatenate([tee.cloud.points, circle(1.0, 120, (2.0, -0.5))])
     return train(PointCloud(points), TrainingConfig(recipe="exact", max_restarts=0)).field
-
-
-@pytest.fixture(scope="module")
-def tee():
-    """A T of 6 m: a bar from (-3, 0) to (3, 0), and a stem down to (0, -3)."""
-    points = SHAPES["T"].sample(300, 0.0, random=False, seed=0) * SIZE / 8
-    return directed(points - [points[:, 0].mean(), points[:, 1].max()])
-
-
-@pytest.fixture(scope="module")
-def tee_and_ring():
-    """The same with a ring of 1 m to the right of it."""
-    points = SHAPES["T"].sample(300, 0.0, random=False, seed=0) * SIZE / 8
-    points -= [points[:, 0].mean(), points[:, 1].max()]
-    return directed(np.concatenate([points, circle(1.0, 120, (2.0, -2.0))]))
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +56,7 @@ def flight_from_below(tee, route, **options):
     """A vehicle that flies up the stem of the T, from its middle."""
     flight = Flight(
         tee,
-        (0.0, -1.5, 1.0),
+        (0.0, 0.0, 1.0),
         branches=(BranchAlong(tee, route),),
         supervisor={"laps": 1e3},
         **options,
@@ -190,7 +185,7 @@ def test_an_open_route_ends_at_rest_at_its_end(tee, arms):
     flight = flight_from_below(tee, text(arms["below"], -arms["right"])).until(14.0)
     assert flight.history() == [("FOLLOW", 0), ("HOLD", 0)]
     end = tee.network.edges[abs(arms["right"]) - 1].line
-    np.testing.assert_allclose(flight.state[:2], [3.0, 0.0], atol=0.05)
+    np.testing.assert_allclose(flight.state[:2], RIGHT, atol=0.05)
     assert np.linalg.norm(flight.state[6:9]) < 0.01
     off = tee.network.path.project(flight.log("state", 1.0)[:, :2]).distance
     assert rms(off) < 0.02
@@ -209,7 +204,7 @@ def test_a_turn_is_commanded_through_the_context(tee, arms):
     flight.supervisor.SetRoute(flight.own(flight.supervisor), text(-arms["left"]))
     flight.until(30.0)
     assert edges_of(flight, tee.network) == [-arms["right"], arms["right"], -arms["left"]]
-    np.testing.assert_allclose(flight.state[:2], [-3.0, 0.0], atol=0.05)
+    np.testing.assert_allclose(flight.state[:2], LEFT, atol=0.05)
     assert flight.mode == Mode.HOLD
     # And on from there.
     flight.supervisor.SetRoute(
@@ -217,7 +212,7 @@ def test_a_turn_is_commanded_through_the_context(tee, arms):
     )
     flight.until(50.0)
     assert edges_of(flight, tee.network)[-2:] == [arms["left"], -arms["below"]]
-    np.testing.assert_allclose(flight.state[:2], STEM, atol=0.05)
+    np.testing.assert_allclose(flight.state[:2], BELOW, atol=0.05)
 
 
 def test_a_turn_is_commanded_through_the_port(tee, arms):
@@ -237,7 +232,7 @@ def test_a_turn_is_commanded_through_the_port(tee, arms):
     flight.until(30.0)
     assert edges_of(flight, tee.network) == [-right, right, -left]
     assert flight.mode == Mode.HOLD
-    np.testing.assert_allclose(flight.state[:2], [-3.0, 0.0], atol=0.05)
+    np.testing.assert_allclose(flight.state[:2], LEFT, atol=0.05)
 
 
 def test_a_vehicle_that_had_to_hold_goes_on_where_it_was(tee, arms):
@@ -252,7 +247,7 @@ def test_a_vehicle_that_had_to_hold_goes_on_where_it_was(tee, arms):
     assert arc <= port(flight, "arc")[0] <= arc + 2.0 * tee.cloud.unit_length + 0.1
     flight.until(16.0)
     assert edges_of(flight, tee.network) == [-arms["left"]]
-    np.testing.assert_allclose(flight.state[:2], [-3.0, 0.0], atol=0.05)
+    np.testing.assert_allclose(flight.state[:2], LEFT, atol=0.05)
 
 
 def test_a_tour_leads_from_piece_to_piece(tee_and_ring):
@@ -309,7 +304,7 @@ def test_a_route_where_no_branch_is_is_refused(tee_and_ring):
 
 
 INPUTS = {
-    "state": np.array([0.1, -1.5, 1.0, *np.zeros(3), 0.0, SPEED, 0.0, *np.zeros(3)]),
+    "state": np.array([0.1, 0.0, 1.0, *np.zeros(3), 0.0, SPEED, 0.0, *np.zeros(3)]),
     "velocity_command": np.array([0.0, SPEED, 0.0]),
     "acceleration_feedforward": np.zeros(3),
     "speed": np.array([SPEED]),

@@ -120,3 +120,83 @@ def test_bad_input_is_one_line(inputs, tmp_path, refused, options, words):
     out = tmp_path / "deep" / "out"
     assert words in refused("fly", inputs / "field.safetensors", *filled, "--out", out)
     assert names_in(tmp_path) == set()
+
+
+# On fields of paths that cross or branch.
+
+ABOVE = np.array([0.0, 0.6])
+
+
+@pytest.fixture(scope="module")
+def network_file(tmp_path_factory, tee_field):
+    """A file with the directed field of a T, in units of half a metre."""
+    file = tmp_path_factory.mktemp("network") / "tee.safetensors"
+    tee_field.rescaled(2.0).save(file)
+    return file
+
+
+def test_a_route_leaves_its_results(run, network_file, tee_field, tmp_path, capsys):
+    # From one side of the bar, past the junction, to the end of the stem.
+    network = tee_field.network
+    start = next(k for k, edge in enumerate(network.edges, 1) if edge.line.vertices[0, 0] < -1)
+    stem = next(
+        k * (1 if edge.line.vertices[-1, 1] < -1 else -1)
+        for k, edge in enumerate(network.edges, 1)
+        if edge.line.vertices[:, 1].min() < -1
+    )
+    options = ("--route", f"{start},{stem}", "--scale", 0.5, "--speed", 1.0, "--html")
+    out = tmp_path / "out"
+    assert run("fly", network_file, *options, "--out", out) == 0
+    assert "turns" in capsys.readouterr().out
+    assert names_in(out) == {"summary.json", "route.html", "route.parquet", "route.png"}
+    summary, log = summary_of(out), pd.read_parquet(out / "route.parquet")
+    assert summary["route"] == [start, stem]
+    assert summary["route_completed"] is True
+    assert summary["turn_fraction"] in (1.0, None)
+    assert summary["reference"] == "network"
+    assert summary["speed_command_m_s"] == 1.0
+    end = network.edges[abs(stem) - 1].line.vertices[-1 if stem > 0 else 0]
+    np.testing.assert_allclose(log[["x", "y"]].iloc[-1], end, atol=0.1)
+    assert 0.005 < ink(out / "route.png") < 0.9
+
+
+def test_a_point_is_flown_to_in_the_unit_of_the_waypoints(
+    run, network_file, tee_field, tmp_path
+):
+    stem = min((node.place for node in tee_field.network.nodes), key=lambda place: place[1])
+    target = ",".join(str(x) for x in 2.0 * (stem + ABOVE))
+    options = (f"--to={target}", "--scale", 0.5, "--speed", 1.0)
+    out = tmp_path / "out"
+    assert run("fly", network_file, *options, "--out", out) == 0
+    log = pd.read_parquet(out / "route.parquet")
+    np.testing.assert_allclose(log[["x", "y"]].iloc[-1], stem + ABOVE, atol=0.1)
+
+
+BAD_ROUTES = {
+    "unknown edge": (("--route", "1,9"), "there is no edge 9 (there are 1 to 3)"),
+    "no list": (("--route", "1,two"), "'1,two' is no list of edges, as 1,2,-3 is"),
+    "two at once": (("--route", "1", "--cover"), "--route and --cover exclude each other"),
+    "tour too": (("--tour", "1", "--to", "0,0"), "--tour and --to exclude each other"),
+    "no point": (("--to", "1,here"), "--to 1,here is no point, as 3.5,-2 is"),
+    "flat point": (("--to", "1"), "is no point in 2 dimensions"),
+    "another path": (
+        ("--reference", "{inputs}/circle.csv"),
+        "measured against its own network",
+    ),
+    "a tube": (("--html", "--tube", "{inputs}/verified"), "of the position alone"),
+    "half a lap": (("--cover", "--laps", 0.5), "laps must be at least 1, not 0.5"),
+}
+
+
+@pytest.mark.parametrize(("options", "words"), BAD_ROUTES.values(), ids=BAD_ROUTES)
+def test_a_bad_route_is_one_line(network_file, inputs, tmp_path, refused, options, words):
+    filled = [str(option).format(inputs=inputs) for option in options]
+    out = tmp_path / "deep" / "out"
+    assert words in refused("fly", network_file, *filled, "--out", out)
+    assert names_in(tmp_path) == set()
+
+
+@pytest.mark.parametrize("option", [("--route", "1"), ("--to", "1,2"), ("--cover",)])
+def test_a_field_of_the_position_alone_has_no_routes(inputs, tmp_path, refused, option):
+    line = refused("fly", inputs / "field.safetensors", *option, "--out", tmp_path / "out")
+    assert "are for fields of paths that cross or branch" in line
