@@ -18,7 +18,7 @@ from sgvf_drake.certificate.orbit_search import propose_annuli
 from sgvf_drake.certificate.orbits import Annulus
 from sgvf_drake.certificate.path_following import failed, prove
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.fields import GuidingField
+from sgvf_drake.fields import GuidingField, check_position_alone
 from sgvf_drake.fields.storage import field_digest
 from sgvf_drake.lyapunov import (
     LyapunovFunction,
@@ -63,6 +63,7 @@ def certify(
         ConfigurationError: The field is not planar, or is of a kind that nothing bounds.
         RuntimeError: The process does not round to nearest.
     """
+    check_position_alone(field)
     if field.dim != 2:
         raise ConfigurationError(f"only planar fields are certified, not one of {field.dim}-D")
     check_rounding()

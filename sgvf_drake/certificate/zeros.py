@@ -19,7 +19,7 @@ from sgvf_drake.certificate.kernels import SLACK
 from sgvf_drake.certificate.network_model import dual_network, model_network
 from sgvf_drake.certificate.taylor_model import DualModel, TaylorModel
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.fields import GuidingField
+from sgvf_drake.fields import GuidingField, check_position_alone
 from sgvf_drake.lyapunov import PartName, PlanarZero, PlanarZeros
 
 # Of neighbouring directions that are farther apart, in radians, rounding might tell wrongly on
@@ -128,6 +128,7 @@ def enclose_zeros(field: GuidingField, part: PartName = "guiding") -> ZeroList:
     Raises:
         ConfigurationError: The field is not planar, or nothing bounds its derivatives.
     """
+    check_position_alone(field)
     if field.dim != 2:
         raise ConfigurationError(f"zeros are enclosed of planar fields, not in {field.dim}-D")
     if not has_dual(field):

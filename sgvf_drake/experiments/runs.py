@@ -105,7 +105,7 @@ def run_train(
             "shape": cloud.shape,
             "digest": cloud.digest,
             "origin": cloud.origin,
-            "messages": [*cloud.messages, *result.network.messages],
+            "messages": [*cloud.messages, *result.network.messages, *_of_support(result)],
             "unsure": result.network.unsure,
             **_path_summary(result, config),
             "train_cpu_s": result.cpu_s,
@@ -119,6 +119,11 @@ def run_train(
         }
         write_summary(folder, summary)
     return summary
+
+
+def _of_support(result: Any) -> tuple[str, ...]:
+    """What is to be said of what a directed field was learned from."""
+    return result.support.messages if isinstance(result.field, DirectedField) else ()
 
 
 def _path_summary(result: Any, config: Any) -> dict[str, Any]:
@@ -278,9 +283,10 @@ def run_routes(
 
     The files are named `route`, those of several `route_1` and so on.
     """
-    names = ["route", *(f"route_{n + 1}" for n in range(field.network.num_pieces))]
+    count = max(len(routes), field.network.num_pieces)
+    names = ["route", *(f"route_{n + 1}" for n in range(count))]
     files = (SUMMARY, *(f"{name}.{kind}" for name in names for kind in ROUTE_KINDS))
-    stems = names[:1] if len(routes) == 1 else names[1:]
+    stems = names[:1] if len(routes) == 1 else names[1 : 1 + len(routes)]
     with result_folder(out, files, overwrite=overwrite) as folder:
         scene = view.scene(folder)
         if scene is not None:

@@ -21,7 +21,12 @@ from sgvf_drake.fields.composition import (
     PaperComposition,
     RobustComposition,
 )
-from sgvf_drake.fields.directed import DirectedField, HeldField, MemoryField
+from sgvf_drake.fields.directed import (
+    DirectedField,
+    HeldField,
+    MemoryField,
+    check_position_alone,
+)
 from sgvf_drake.fields.guiding import (
     GuidingField,
     ScoreField,
@@ -69,6 +74,7 @@ __all__ = [
     "StrandMixture",
     "StrandNetwork",
     "TangentField",
+    "check_position_alone",
     "find_activation",
     "import_field",
     "load_field",

@@ -128,6 +128,19 @@ class DirectedField(ScoreInducedField):
         return self._composed_and_jacobian(z, *self.strands.with_derivatives(z, g))
 
 
+def check_position_alone(field: object) -> None:
+    """Refuses a directed field where only those of the position alone are known.
+
+    Raises:
+        ConfigurationError: The field is a directed one.
+    """
+    if isinstance(field, DirectedField):
+        raise ConfigurationError(
+            f"this is a directed field m(x, g) of a {field.network.describe(0)}; only fields "
+            "of the position alone can be examined so far"
+        )
+
+
 class HeldField(AnalyticField):
     """A directed field at constant intended directions: a field of the position alone.
 

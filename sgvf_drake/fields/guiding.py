@@ -91,8 +91,8 @@ def load_guiding_field(path: str | PathLike[str]) -> GuidingField:
     field = load_field(path)
     if isinstance(field, DirectedField):
         raise ConfigurationError(
-            f"{path} is a directed field m(x, g) of {field.network.describe(0)}; this takes a "
-            "field of the position alone, such as field.heading(g) in Python"
+            f"{path} is a directed field m(x, g) of a {field.network.describe(0)}; this takes "
+            "fields of the position alone"
         )
     return field
 

@@ -1,17 +1,25 @@
 """Training: from a point cloud to a guiding field.  The only package that needs torch.
 
-The configuration and the recipes do without it; it is imported by the first use of `train`.
+Everything is imported on its first use: the recipes are known without torch, SciPy and numba.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from sgvf_drake.learning.config import TrainingConfig
-from sgvf_drake.learning.recipes import RECIPES
-from sgvf_drake.learning.self_check import SelfCheck, check_field
-
 if TYPE_CHECKING:
+    from sgvf_drake.learning.config import TrainingConfig
+    from sgvf_drake.learning.recipes import RECIPES
+    from sgvf_drake.learning.self_check import SelfCheck, check_field
     from sgvf_drake.learning.training import TrainingResult, train
+
+_MODULES = {
+    "RECIPES": "recipes",
+    "SelfCheck": "self_check",
+    "TrainingConfig": "config",
+    "TrainingResult": "training",
+    "check_field": "self_check",
+    "train": "training",
+}
 
 __all__ = [
     "RECIPES",
@@ -24,6 +32,6 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    if name in ("TrainingResult", "train"):
-        return getattr(import_module("sgvf_drake.learning.training"), name)
+    if name in _MODULES:
+        return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pandas as pd
 import torch
 from torch import Tensor, nn
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from sgvf_drake.learning.config import Settings
 
 BATCH_SIZE = 512
-LEARNING_RATE = 4e-3
+LEARNING_RATE = 1.5e-2
 WARMUP = 50
 # Shares of a batch: uniform in the box; around a strand at four noise levels and not one;
 # headed along a strand, give or take; of a shorter g, as while a heading turns round.
@@ -71,7 +72,7 @@ class HeadingNetwork(nn.Module):
         layers = self.layers.to_perceptron()
         frequencies = self.frequencies.double().numpy().copy()
         passed = layers.num_inputs - 2 * len(frequencies)
-        features = FourierFeatures(frequencies, torch.zeros(len(frequencies)).numpy(), passed)
+        features = FourierFeatures(frequencies, np.zeros(len(frequencies)), passed)
         return Perceptron(layers.weights, layers.biases, features)
 
 

@@ -1,5 +1,6 @@
 """The points that a directed field is learned from: evenly on the edges of a network."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import networkx as nx
@@ -22,6 +23,13 @@ from sgvf_drake.paths import PathNetwork, Piece
 SHARPEST_CROSSING = np.radians(10.0)
 """Strands that part from a node at this angle or more are no neighbours for that."""
 
+ACUTE = np.radians(120.0)
+"""By more a line turns at a tip: its legs are then at less than 60 degrees, and a robot that
+heads into it is not turned by the leg behind, which is seen along its heading."""
+
+TIP = 3.0
+"""A tip is where the chords of this many noise levels before and after a place turn so."""
+
 SIGMAS_PER_EDGE = 6.0
 """Between two nodes a robot turns towards both: some three noise levels before each."""
 
@@ -37,6 +45,7 @@ class StrandSupport:
         spacing: Mean distance of neighbouring waypoints along the paths.
         gap: Smallest distance between strands that do not meet there; `WIDEST_GAP` where it
             is more.
+        messages: What robots cannot do on it, a sentence each.
     """
 
     mixture: StrandMixture
@@ -44,6 +53,7 @@ class StrandSupport:
     counts: tuple[int, ...]
     spacing: float
     gap: float
+    messages: tuple[str, ...]
 
     @property
     def sigma(self) -> float:
@@ -83,7 +93,25 @@ def find_strands(
         [network.nodes[end].place for end in resting_ends(network)], (-1, cloud.dim)
     )
     spacing = network.spacing / network.unit_length
-    return StrandSupport(mixture, cloud.normalize(ends), counts, spacing, gap)
+    messages = tuple(_tips(network, lines, sigma))
+    return StrandSupport(mixture, cloud.normalize(ends), counts, spacing, gap, messages)
+
+
+def _tips(network: PathNetwork, lines: list[Piece], sigma: float) -> Iterator[str]:
+    """Names the edges that are travelled either way and have an acute tip."""
+    for number, (edge, line) in enumerate(zip(network.edges, lines, strict=True), start=1):
+        reach = TIP * sigma
+        if network.is_one_way(edge.piece) or line.length < 2 * reach:
+            continue
+        arc = np.arange(reach, line.length - reach, SUPPORT_SPACING * sigma)
+        before, at, after = (line.at(arc + shift) for shift in (-reach, 0.0, reach))
+        into, out = at - before, after - at
+        norms = np.linalg.norm(into, axis=1) * np.linalg.norm(out, axis=1)
+        if ((into * out).sum(axis=1) < np.cos(ACUTE) * norms).any():
+            yield (
+                f"edge {number} has an acute tip, at which robots that follow no route come to "
+                "rest"
+            )
 
 
 def resting_ends(network: PathNetwork) -> list[int]:

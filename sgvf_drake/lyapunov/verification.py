@@ -9,7 +9,7 @@ import numpy as np
 from scipy import ndimage
 
 from sgvf_drake.arrays import BoolArray, FloatArray
-from sgvf_drake.fields import GuidingField
+from sgvf_drake.fields import GuidingField, check_position_alone
 from sgvf_drake.lyapunov.band import MIN_DECREASE, SIGMA_RATIOS, Band, search_band
 from sgvf_drake.lyapunov.conditions import (
     Bound,
@@ -146,8 +146,9 @@ def verify(
         progress: Told how far it is.
 
     Raises:
-        ConfigurationError: The field is not planar.
+        ConfigurationError: The field is not planar, or a directed one.
     """
+    check_position_alone(field)
     reference = field.path if reference is None else reference
     samples = take_samples(field, seed)
     progress("sample", 1, 1)

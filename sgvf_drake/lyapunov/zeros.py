@@ -16,6 +16,7 @@ from sgvf_drake.fields import (
     PaperComposition,
     ScoreField,
     TangentField,
+    check_position_alone,
 )
 from sgvf_drake.lyapunov.winding import box_corners, winding_number
 from sgvf_drake.lyapunov.zero_search import find_zeros
@@ -142,6 +143,7 @@ def find_singularities(field: GuidingField) -> Singularities:
         ConfigurationError: The field is not planar, or vanishes along a line that leaves the
             box.
     """
+    check_position_alone(field)
     box, found = _find(field, PARTS)
     return Singularities(box, *found)
 

@@ -49,7 +49,7 @@ class RobustRecipe(Recipe):
     strand_defaults: ClassVar = defaults | {
         "num_frequencies": 96,
         "tangent_hidden": (128, 128, 128),
-        "tangent_iterations": 1_500,
+        "tangent_iterations": 1_000,
     }
 
     def fit(

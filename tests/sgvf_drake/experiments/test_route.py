@@ -1,20 +1,23 @@
 """Flights along itineraries on networks: completed, turned as wished, and measured."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.experiments import FlightSpec, covering_routes, fly_route, to_point
+from sgvf_drake.experiments import FlightSpec, covering_routes, fly_route, run_routes, to_point
 from sgvf_drake.experiments.flight import route_start
 from sgvf_drake.experiments.route import routes_summary
 from sgvf_drake.metrics import REACH_DISTANCE
 from sgvf_drake.network_metrics import WAY_OFF
 from sgvf_drake.passages import passages, straight_fraction
 from sgvf_drake.paths.itinerary import Itinerary
+from sgvf_drake.paths.planning import shortest
 from systems import Mode, SensorParameters
+from tests.helpers import names_in, summary_of
 from tests.networks import straight_network
 
-SPEED = 0.6
+SPEED = 0.45
 
 
 @pytest.fixture(scope="module")
@@ -115,6 +118,21 @@ def test_a_start_is_beside_that_of_the_route_and_apart_from_other_edges():
     start, heading = route_start(Itinerary.along([-1], network), 1.5)
     np.testing.assert_allclose(heading, [-1.0, 0.0])
     np.testing.assert_allclose(start, [4.0 + 0.5 * network.unit_length, 0.0, 1.5], atol=1e-9)
+
+
+def test_several_routes_leave_a_log_and_a_figure_each(tee_field, tmp_path):
+    network = tee_field.network
+    routes = [shortest(network, (x, 1.5), (x + 1.0, 1.5)) for x in (-2.5, 1.0)]
+    spec = FlightSpec(laps=1.0, speed=SPEED)
+    summary = run_routes(tee_field, routes, tmp_path / "out", spec)
+    kinds = {f"route_{n}.{kind}" for n in (1, 2) for kind in ("parquet", "png")}
+    assert names_in(tmp_path / "out") == {"summary.json", *kinds}
+    assert summary_of(tmp_path / "out") == summary
+    assert [len(route["route"]) for route in summary["routes"]] == [1, 1]
+    for n, route in enumerate(routes, start=1):
+        log = pd.read_parquet(tmp_path / "out" / f"route_{n}.parquet")
+        end = route.line.vertices[-1]
+        np.testing.assert_allclose(log[["x", "y"]].iloc[-1], end, atol=0.05)
 
 
 def test_of_several_routes_the_worst_is_told(covered):

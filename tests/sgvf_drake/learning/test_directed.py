@@ -1,0 +1,211 @@
+"""Learning directed fields: what is learned from, the network and the mixture, the check."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+import pytest
+import torch
+
+from sgvf_drake import certify, enclose_zeros, find_singularities, verify
+from sgvf_drake.clouds import PointCloud
+from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.fields import DirectedField, StrandMixture, StrandNetwork, load_field
+from sgvf_drake.learning import TrainingConfig, train
+from sgvf_drake.learning.directed import HeadingNetwork, strand_loss
+from sgvf_drake.learning.route_check import check_directed
+from sgvf_drake.learning.strands import find_strands
+from sgvf_drake.learning.support import SIGMA_DEFAULT, WIDEST_GAP
+from sgvf_drake.paths.finding import find_paths
+from sgvf_drake.paths.itinerary import successors
+from tests.networks import SHAPES, straight_network
+
+Array = NDArray[np.float64]
+
+
+def cloud_of(name: str, count: int = 400) -> PointCloud:
+    return PointCloud(SHAPES[name].sample(count, 0.0, random=False, seed=0))
+
+
+def exact(name: str) -> DirectedField:
+    field = train(cloud_of(name), TrainingConfig(recipe="exact", max_restarts=0)).field
+    assert isinstance(field, DirectedField)
+    return field
+
+
+@pytest.mark.parametrize("name", ["eight", "T", "Y in space"])
+def test_strands_lie_evenly_on_the_edges_and_point_along_them(name: str) -> None:
+    cloud = cloud_of(name)
+    network = find_paths(cloud)
+    support = find_strands(cloud, network)
+    mixture, unit = support.mixture, cloud.unit_length
+    assert len(mixture.points) == sum(support.counts)
+    on_path = network.path.project(cloud.denormalize(mixture.points))
+    assert on_path.distance.max() < 1e-9 * unit
+    lengths = np.array([edge.length for edge in network.edges]) / unit
+    np.testing.assert_allclose(lengths / support.counts, mixture.sigma / 2, rtol=0.1)
+    np.testing.assert_allclose(np.linalg.norm(mixture.directions, axis=1), 1, rtol=1e-12)
+    first = slice(0, support.counts[0])
+    steps = np.diff(mixture.points[first], axis=0)
+    cosines = (steps * mixture.directions[first][1:]).sum(axis=1) / np.linalg.norm(
+        steps, axis=1
+    )
+    assert cosines.min() > 0.95
+    assert mixture.one_way.all() == (name == "eight")
+
+
+def rails(gap: float) -> tuple[PointCloud, float, float]:
+    """Two rails this far apart that a wide bow joins; returns the noise level and the gap."""
+    places = np.array([[-4.0, 0.0], [4.0, 0.0], [-4.0, gap], [4.0, gap]])
+    bow = np.array([[-6.0, -2.0], [-8.0, gap / 2], [-6.0, gap + 2.0]])
+    network = straight_network(places, [(0, 1), (2, 3), (0, 2)], {2: bow})
+    cloud = PointCloud(np.concatenate([edge.line.sample(100) for edge in network.edges]))
+    support = find_strands(cloud, network)
+    return cloud, support.sigma * cloud.unit_length, support.gap * cloud.unit_length
+
+
+def test_strands_side_by_side_lower_the_noise_level_and_those_that_meet_do_not() -> None:
+    cloud, sigma, gap = rails(0.2)
+    assert gap == pytest.approx(0.2, abs=0.03)
+    assert sigma == pytest.approx(gap / 4)
+    cloud, sigma, gap = rails(3.0)
+    assert gap == pytest.approx(WIDEST_GAP * cloud.unit_length)
+    # Strands that part at 30 degrees are near each other, and no neighbours for that.
+    places = np.array([[0.0, 0], [-4, 0], [4, 0], [4 * np.cos(0.52), 4 * np.sin(0.52)]])
+    network = straight_network(places, [(0, 1), (0, 2), (0, 3)])
+    cloud = PointCloud(np.concatenate([edge.line.sample(100) for edge in network.edges]))
+    assert find_strands(cloud, network).sigma == SIGMA_DEFAULT
+
+
+def test_the_noise_level_leaves_room_between_two_nodes() -> None:
+    places = np.array([[0.0, 0], [0.3, 0], [-4, 0], [0, 4], [4.3, 0], [0.3, -4]])
+    network = straight_network(places, [(0, 1), (0, 2), (0, 3), (1, 4), (1, 5)])
+    cloud = PointCloud(np.concatenate([edge.line.sample(100) for edge in network.edges]))
+    sigma = find_strands(cloud, network).sigma * cloud.unit_length
+    assert sigma == pytest.approx(0.3 / 6)
+
+
+@pytest.mark.parametrize("two_way", [True, False])
+def test_the_torch_network_is_the_one_of_the_field(two_way: bool) -> None:
+    torch.manual_seed(0)
+    network = HeadingNetwork(2, (16, 16), 8, 2.0, two_way)
+    strands = StrandNetwork(network.to_perceptron(), 1.0, two_way)
+    x, g = torch.randn(2, 20, 2)
+    output = network(x, g).detach().numpy()
+    S, N = strands(x.double().numpy(), g.double().numpy())
+    np.testing.assert_allclose(np.concatenate([S, N], axis=1), output, atol=1e-5)
+
+
+class Oracle(torch.nn.Module):
+    """The exact mixture in place of a network, by NumPy."""
+
+    def __init__(self, mixture: StrandMixture) -> None:
+        super().__init__()
+        self.mixture = mixture
+
+    def forward(self, x: torch.Tensor, g: torch.Tensor) -> torch.Tensor:
+        S, N = self.mixture(x.double().numpy(), g.double().numpy())
+        return torch.as_tensor(np.concatenate([self.mixture.sigma * S, N], axis=1))
+
+
+@pytest.mark.parametrize("name", ["T", "eight"])
+def test_the_mixture_itself_has_no_loss(name: str) -> None:
+    torch.manual_seed(0)
+    cloud = cloud_of(name)
+    mixture = find_strands(cloud, find_paths(cloud)).mixture
+    terms = strand_loss(Oracle(mixture), mixture)()  # type: ignore[arg-type]
+    assert all(term.item() < 1e-6 for term in terms.values())
+
+
+@pytest.mark.parametrize("name", ["T", "X", "eight", "roundabout"])
+def test_every_edge_and_every_turn_is_driven(name: str) -> None:
+    result = train(cloud_of(name), TrainingConfig(recipe="exact"))
+    check = result.self_check
+    assert check.passed, check.message
+    turns = sum(map(len, successors(result.network).values()))
+    around = 4 * len(result.network.edges)
+    assert sum(piece.starts for piece in check.pieces) == turns + around
+    assert result.restarts == 0
+
+
+def test_a_field_that_misses_turns_fails_its_check() -> None:
+    """Strands that pull one way only cannot be driven back."""
+    field = exact("T")
+    assert isinstance(field.strands, StrandMixture)
+    one_way = np.ones_like(field.strands.one_way)
+    broken = replace(field, strands=replace(field.strands, one_way=one_way))
+    check = check_directed(broken)
+    assert not check.passed
+    assert {fault.kind for fault in check.pieces[0].faults} == {"skip"}
+    # Without the projection, robots stop on the way.
+    assert check_directed(field).passed
+
+
+def test_a_field_that_leads_nowhere_is_left() -> None:
+    field = exact("eight")
+    assert isinstance(field.strands, StrandMixture)
+    away = replace(field.strands, points=field.strands.points + 1.5)
+    check = check_directed(replace(field, strands=away))
+    assert "leave" in {fault.kind for fault in check.pieces[0].faults}
+
+
+def test_acute_tips_are_told_and_a_route_turns_at_them() -> None:
+    places = np.array([[-1.0, 0.0], [1.0, 0.0], [-3.0, -4.0], [3.0, -4.0]])
+    messages = {}
+    for height in (4.0, 1.0):
+        tip = {3: np.array([[0.0, height]])}
+        network = straight_network(places, [(0, 1), (0, 2), (1, 3), (0, 1)], tip)
+        result = train(network, TrainingConfig(recipe="exact"))
+        assert result.self_check.passed, result.self_check.message
+        messages[height] = result.support.messages
+    assert messages[1.0] == ()
+    assert "edge 4 has an acute tip" in messages[4.0][0]
+
+
+def test_what_knows_fields_of_the_position_alone_refuses_others() -> None:
+    field = exact("T")
+    for examine in (verify, certify, find_singularities, enclose_zeros):
+        with pytest.raises(ConfigurationError, match=r"directed field m\(x, g\) of a network"):
+            examine(field)
+
+
+def test_options_of_other_fields_are_refused() -> None:
+    cloud = cloud_of("T", 200)
+    for name, value in (("hint_weight", 1.0), ("score_iterations", 5), ("exact_target", True)):
+        config = TrainingConfig(**{name: value})
+        with pytest.raises(ConfigurationError, match=f"{name} is not for paths that branch"):
+            train(cloud, config)
+
+
+def test_training_is_repeatable_and_follows_the_seed(tmp_path: Path) -> None:
+    cloud = cloud_of("T", 200)
+    few = {"tangent_iterations": 3, "max_restarts": 0}
+    one, same, other = (
+        train(cloud, TrainingConfig(seed=seed, **few)).field for seed in (0, 0, 1)
+    )
+    x, g = np.random.default_rng(0).normal(size=(2, 10, 2))
+    np.testing.assert_array_equal(one(x, g), same(x, g))
+    one.save(tmp_path / "field.safetensors")
+    read = load_field(tmp_path / "field.safetensors")
+    assert isinstance(read, DirectedField)
+    np.testing.assert_array_equal(read(x, g), one(x, g))
+    assert np.abs(one(x, g) - other(x, g)).max() > 0.1
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("name", ["eight", "T", "Y in space"])
+def test_the_robust_recipe_learns_what_the_mixture_is(name: str) -> None:
+    result = train(cloud_of(name), TrainingConfig())
+    assert result.self_check.passed, result.self_check.message
+    field, mixture = result.field, result.support.mixture
+    assert isinstance(field, DirectedField)
+    assert isinstance(field.strands, StrandNetwork)
+    rng = np.random.default_rng(0)
+    chosen = rng.choice(len(mixture.points), 500)
+    x = mixture.points[chosen] + mixture.sigma * rng.normal(size=(500, field.dim))
+    g = mixture.directions[chosen]
+    S, N = field.strands(x, g)
+    S_true, N_true = mixture(x, g)
+    assert np.sqrt(((S - S_true) ** 2).sum(axis=1).mean()) * mixture.sigma < 0.15
+    assert np.sqrt(((N - N_true) ** 2).sum(axis=1).mean()) < 0.1
