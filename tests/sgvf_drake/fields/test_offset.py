@@ -1,4 +1,4 @@
-"""How far from a straight strand robots run, where the tangent is off by an angle alpha."""
+"""How far from a strand robots run, where the tangent is off by an angle alpha."""
 
 import numpy as np
 import pytest
@@ -61,3 +61,31 @@ def test_what_the_linear_law_leaves_out_is_a_third_of_tan_alpha_squared():
     excess = np.array([offset(np.arctan(t)) for t in tangents]) / linear - 1
     assert slope(tangents, excess) == pytest.approx(2.0, abs=0.1)
     np.testing.assert_allclose(excess, tangents**2 / 3, rtol=0.05)
+
+
+def test_beyond_the_bound_of_the_theory_robots_come_closer():
+    radius, width, largest = 2.0, 1.5 * SIGMA, np.radians(20)
+    turn = np.linspace(0, 2 * np.pi, 400, endpoint=False)
+    # Uneven, so that the density varies along the path.
+    angle = turn + 0.08 * np.sin(3 * turn)
+    points = radius * np.column_stack([np.cos(angle), np.sin(angle)])
+    heading = angle + np.pi / 2 + largest * np.sin(5 * angle)
+    directions = np.column_stack([np.cos(heading), np.sin(heading)])
+    mixture = StrandMixture(points, directions, np.ones(len(points), bool), SIGMA)
+
+    rng = np.random.default_rng(0)
+    theta, y = rng.uniform(0, 2 * np.pi, 4_000), rng.uniform(-width, width, 4_000)
+    n = np.column_stack([np.cos(theta), np.sin(theta)])
+    tau = np.column_stack([-n[:, 1], n[:, 0]])
+    S, N = mixture((radius + y)[:, None] * n, np.zeros_like(n))
+    a = 1 / SIGMA**2
+    c = np.abs((S * n).sum(1) + a * y).max()
+    b = np.abs((S * tau).sum(1)).max()
+    off = np.arctan2((N * n).sum(1), (N * tau).sum(1))
+    tangent = np.tan(np.abs(off).max())
+    bound = (c + b * tangent + np.arcsinh(tangent) * np.hypot(1, tangent) / GAIN) / a
+    assert bound < 0.2 * width
+    away = (RobustComposition(GAIN, SIGMA).value(S, N) * n).sum(1) * np.sign(y)
+    assert away[np.abs(y) > bound].max() < 0
+    # Nearer than that, some do not: the bound is not for nothing.
+    assert away[np.abs(y) < 0.5 * bound].max() > 0
