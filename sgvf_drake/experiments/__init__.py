@@ -7,6 +7,7 @@ it is, and replaces results there only where `overwrite` says so.  Its `referenc
 
 from sgvf_drake.experiments.certified import CertifiedField, as_flown
 from sgvf_drake.experiments.certify import run_certify
+from sgvf_drake.experiments.figures.network import network_figure
 from sgvf_drake.experiments.figures.runs import tour_figure
 from sgvf_drake.experiments.figures.singularities import log_density_figure, singularity_figure
 from sgvf_drake.experiments.figures.tracking import tracking_figure
@@ -63,6 +64,7 @@ __all__ = [
     "follow",
     "follow_network",
     "log_density_figure",
+    "network_figure",
     "open_field",
     "open_guiding_field",
     "run_certify",
