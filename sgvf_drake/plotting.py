@@ -4,11 +4,14 @@ Nothing here computes results; the data come from the experiments.
 """
 
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 import numpy as np
+from numpy.typing import ArrayLike
 import pandas as pd
 
 from sgvf_drake.arrays import Box, FloatArray, plane_grid
@@ -62,6 +65,12 @@ def legend_below(
     names = [str(handle.get_label()) for handle in handles] if labels is None else labels
     columns = columns or len(handles)
     figure.legend(handles, names, loc="outside lower center", ncols=columns, frameon=False)
+
+
+def mark(label: str, marker: str = "", color: str = "black", **style: Any) -> Line2D:
+    """Returns what stands in a legend for markers, or for lines where there is no marker."""
+    line = "" if marker else "-"
+    return Line2D([], [], ls=line, marker=marker, color=color, label=label, **style)
 
 
 def plane_axes(axes: Axes, unit: str = "", title: str = "") -> None:
@@ -143,6 +152,15 @@ def plot_cross_track(
     artists += axes.plot(times, errors.max(axis=1), color=RED, linewidth=0.8, label="largest")
     axes.legend(loc="upper right")
     return artists
+
+
+def plot_intervals(
+    axes: Axes, x: ArrayLike, intervals: Sequence[Sequence[float]], **style: Any
+) -> None:
+    """Draws at each x a mean with its interval (mean, low, high); NaN: the mean alone."""
+    mean, low, high = np.array(intervals, dtype=np.float64).T
+    bars = np.nan_to_num(np.stack([mean - low, high - mean]))
+    axes.errorbar(x, mean, bars, capsize=3, **style)
 
 
 def plot_velocity(axes: Axes, log: pd.DataFrame) -> Sequence[Artist]:

@@ -226,7 +226,7 @@ class Supervision:
         self._TakeUpOrder(seen, memory)
         if memory.mode == Mode.FOLLOW:
             self._MoveOn(seen, memory)
-        nearest, distance = self._Branch(memory, seen).Nearest(seen.position[: self._dim])
+        nearest, distance = self._InUse(memory, seen).Nearest(seen.position[: self._dim])
         self._Decide(settings, seen, memory, distance)
         if memory.mode == Mode.FOLLOW:
             self._CountDistance(seen, memory, distance)
@@ -302,9 +302,7 @@ class Supervision:
         if branch.course is not None:
             at_end = self._IsAtEnd(seen, memory)
         laps = settings.laps if branch.closed else 1.0
-        completed = branch.course is None or branch.closed
-        completed = completed and memory.flown >= laps * branch.length
-        if completed or (at_end and memory.flown > 0.0):
+        if memory.flown >= laps * branch.length or (at_end and memory.flown > 0.0):
             memory.stop += 1.0
             memory.flown = 0.0
 
@@ -328,7 +326,7 @@ class Supervision:
         p = seen.position[: self._dim]
         if self.box is not None and ((p < self.box[0]) | (p > self.box[1])).any():
             return True
-        return distance > ON_BRANCH_SHARE * self._Branch(memory, seen).length and any(
+        return distance > ON_BRANCH_SHARE * self._InUse(memory, seen).length and any(
             ASTRAY_RATIO * branch.Nearest(p)[1] < distance
             for number, branch in enumerate(self.branches)
             if number != memory.branch
@@ -485,6 +483,8 @@ class Supervision:
         order = seen.order
         if order is None or order.number == memory.order:
             return
+        if memory.mode == Mode.TRANSFER and seen.speed == 0.0:
+            return  # There is no speed to fly elsewhere with.
         memory.order = float(order.number)
         if order.branch != memory.branch:
             return
@@ -532,14 +532,16 @@ class Supervision:
             return  # It ends before the node.
         own = self._Course(memory, seen)
         assert own is not None
-        after = int(memory.rejoin) if memory.first != 0.0 else index + 1
-        left = list(range(max(after, 0), len(own.edges)))
-        if own.itinerary.closed:
-            left += range(len(own.edges) - len(left))
+        count, after = len(own.edges), index + 1
+        if memory.first != 0.0:
+            after = int(memory.rejoin) if memory.rejoin >= 0.0 else count
+        left = [
+            k % count for k in range(after, after + count if own.itinerary.closed else count)
+        ]
         way = connection(itinerary.network, seen.next_edge, [own.edges[k] for k in left])
         memory.first, memory.second = float(number), float(seen.next_edge)
         # Where nothing of the course is left to come to, the commanded edge is the last.
-        memory.rejoin = next((float(k) for k in left if own.edges[k] == way[-1]), -1.0)
+        memory.rejoin = next((float(k) for k in left if own.edges[k] in way[-1:]), -1.0)
         detour = self._InUse(memory, seen).course
         assert detour is not None
         self._PlaceAt(detour, detour.OnEdge(0, seen.position[: self._dim]), memory)

@@ -116,32 +116,39 @@ class FakeExperiment:
     of_paper: bool = True
     error: str = ""
 
-    def run(self, bench):
-        # Imported here: most tests do without them.
-        from matplotlib.figure import Figure
+    def measure(self, bench):
+        # Imported here, as below: most tests do without them.
         import pandas as pd
-
-        from sgvf_drake.paper.claims import Finding, Verdict
-        from sgvf_drake.paper.experiment import Exhibit, Outcome
 
         trials = [FakeTrial(seed, self.size) for seed in self.seeds]
         records = bench.run(measure_fake, trials, "squaring")
         if self.error:
             raise RuntimeError(self.error)
-        table = pd.DataFrame([record.row for record in records])
-        figure = Figure(figsize=(4, 3))
-        figure.subplots().plot(table["square"])
+        return {"squares": pd.DataFrame([record.row for record in records])}
+
+    def findings(self, rows):
+        from sgvf_drake.paper.claims import Finding, Verdict
+
         told = self.statement, Verdict(self.verdict), "They do.", self.of_paper
-        claim = Finding("grow", "Section IX", *told)
-        return Outcome(
-            [
-                Exhibit(self.exhibit, "How squares grow.", figure),
-                Exhibit(f"{self.exhibit}_table", "The same in numbers.", table),
-            ],
-            [claim],
-            {"largest": table["square"].max()},
-            {"log": table},
-        )
+        return [Finding("grow", "Section IX", *told)]
+
+    def tables(self, rows):
+        from sgvf_drake.paper.experiment import Exhibit
+
+        name = f"{self.exhibit}_table"
+        return [Exhibit(name, "The same in numbers.", rows["squares"])]
+
+    def figures(self, rows):
+        from matplotlib.figure import Figure
+
+        from sgvf_drake.paper.experiment import Exhibit
+
+        figure = Figure(figsize=(4, 3))
+        figure.subplots().plot(rows["squares"]["square"])
+        return [Exhibit(self.exhibit, "How squares grow.", figure)]
+
+    def logs(self, rows):
+        return {"log": rows["squares"]}
 
 
 class FakeScenarios:

@@ -2,12 +2,7 @@
 
 from sgvf_drake.paper.reproduce import run_reproduce
 from sgvf_drake.paper.running import run_scenario
-from sgvf_drake.paper.scenario import (
-    Scenario,
-    load_scenario,
-    override_names,
-    scenario_names,
-)
+from sgvf_drake.paper.scenario import Scenario, load_scenario, override_names, scenario_names
 
 __all__ = [
     "Scenario",

@@ -43,22 +43,19 @@ from sgvf_drake.paths import ReferencePath, make_shape
 COMPLETE = "complete"
 """The variant that lacks nothing."""
 
-NO_UNIT, NO_ORTHOGONALITY, NO_DIRECTION = "no-unit", "no-orthogonality", "no-direction"
-NOISY_TARGET, NO_FEATURES = "noisy-target", "no-features"
-NO_HINT, NO_PROJECTION = "no-hint", "no-projection"
 VARIANTS: Mapping[str, tuple[str, Mapping[str, Any]]] = {
     COMPLETE: ("complete", {}),
-    NO_UNIT: ("no unit length", {"unit_weight": 0.0}),
-    NO_ORTHOGONALITY: ("no orthogonality", {"orthogonality_weight": 0.0}),
-    NO_DIRECTION: ("no directional consistency", {"direction_weight": 0.0}),
-    NOISY_TARGET: ("noisy target", {"exact_target": False}),
-    NO_FEATURES: ("no Fourier features", {"num_frequencies": 0}),
-    NO_HINT: ("no hint", {"hint_weight": 0.0}),
-    NO_PROJECTION: ("no projection", {"projection": False}),
+    "no-unit": ("no unit length", {"unit_weight": 0.0}),
+    "no-orthogonality": ("no orthogonality", {"orthogonality_weight": 0.0}),
+    "no-direction": ("no directional consistency", {"direction_weight": 0.0}),
+    "noisy-target": ("noisy target", {"exact_target": False}),
+    "no-features": ("no Fourier features", {"num_frequencies": 0}),
+    "no-hint": ("no hint", {"hint_weight": 0.0}),
+    "no-projection": ("no projection", {"projection": False}),
 }
 """What each variant is called, and its options of the training; the keys name its files."""
 
-OF_THE_SCORE = (NOISY_TARGET, NO_FEATURES)
+OF_THE_SCORE = ("noisy-target", "no-features")
 """The variants that learn another score; the others share that of the complete recipe."""
 
 FIELDS = "fields"
@@ -70,7 +67,10 @@ SPEED_ERROR = "following.speed_error"
 Range = tuple[float, float]
 ANY: Range = (-np.inf, np.inf)
 
-FOLLOWED: Mapping[str, tuple[str, Range]] = {
+Column = tuple[str, Range] | tuple[str, type]
+"""A measure, and what its seeds give: the mean in a range, a `Count`, or the first text."""
+
+FOLLOWED: Mapping[str, Column] = {
     "reach": ("following.reach", SHARE),
     "lap": ("following.lap", SHARE),
     "stall": ("following.stall", SHARE),
@@ -209,7 +209,7 @@ def fields_table(trials: pd.DataFrame) -> pd.DataFrame:
     rows = [
         {
             **{name: trial[name] for name in labels},
-            "network": None if trial["hidden"] is None else widths(trial["hidden"]),
+            "network": _network(trial["hidden"]) if trial["hidden"] else None,
             "variant": variant,
             **trial[variant],
         }
@@ -221,8 +221,7 @@ def fields_table(trials: pd.DataFrame) -> pd.DataFrame:
     return fields.assign(**{SPEED_ERROR: pd.concat([slow, fast], axis=1).max(axis=1)})
 
 
-def widths(hidden: Sequence[int]) -> str:
-    """Returns a planar tangent network as the paper writes it: [2,128,2]."""
+def _network(hidden: Sequence[int]) -> str:
     return f"[{','.join(map(str, (2, *hidden, 2)))}]"
 
 
@@ -247,12 +246,10 @@ class Effect:
     seeds: tuple[float, ...]
     is_factor: bool = False
 
-    @property
     def rises(self) -> bool:
         """Whether the interval of the change is above zero; never so for a single seed."""
         return self.change[1] > 0
 
-    @property
     def falls(self) -> bool:
         """Whether it is below zero."""
         return self.change[2] < 0
@@ -307,35 +304,29 @@ class SeedsTable:
     Attributes:
         name: Name of the exhibit.
         caption: Caption of the exhibit.
-        means: Columns of means with their interval by their header, each of a measure and
-            the range of its mean.
-        counts: Columns "k of n" by their header, each of a yes-or-no measure.
-        firsts: Columns of the first seed by their header, each of a measure.
+        columns: The columns by their headers.
     """
 
     name: str
     caption: str
-    means: Mapping[str, tuple[str, Range]]
-    counts: Mapping[str, str] = field(default_factory=dict)
-    firsts: Mapping[str, str] = field(default_factory=dict)
+    columns: Mapping[str, Column]
 
     def of(self, table: pd.DataFrame, group: str) -> Exhibit:
         """Returns the table of fields, from one row a field."""
 
-        def columns(fields: pd.DataFrame) -> Row:
-            row: Row = {
-                header: str(Count.of(fields[measure]))
-                for header, measure in self.counts.items()
-            }
-            for header, (measure, within) in self.means.items():
-                row.update(interval_columns(header, fields[measure].astype(float), within))
-            firsts = {header: fields[name].iloc[0] for header, name in self.firsts.items()}
-            return row | firsts
+        def row_of(fields: pd.DataFrame) -> Row:
+            row: Row = {}
+            for header, (measure, kind) in self.columns.items():
+                values = fields[measure]
+                if isinstance(kind, tuple):
+                    row |= interval_columns(header, values.astype(float), kind)
+                else:
+                    row[header] = str(Count.of(values)) if kind is Count else values.iloc[0]
+            return row
 
         names = {variant: name for variant, (name, _) in VARIANTS.items()}
         named = table.assign(variant=table["variant"].map(names))
-        rows = over_seeds(named, (group, "variant"), columns)
-        return Exhibit(self.name, self.caption, rows)
+        return Exhibit(self.name, self.caption, over_seeds(named, (group, "variant"), row_of))
 
 
 @dataclass

@@ -9,7 +9,6 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap, LogNorm
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.quiver import Quiver
 import numpy as np
 import pandas as pd
@@ -71,7 +70,14 @@ def variants_figure(
             panel.label_outer()
         axes[row * columns].set_ylabel(f"{label}\ny [{plotting.UNIT}]")
     figure.colorbar(arrows, ax=axes, label=f"$|{symbol}|$", extend="both", pad=0.01)
-    plotting.legend_below(figure, _marks(symbol))
+    turn = {"color": "white", "markeredgecolor": "black"}
+    marks = [
+        plotting.mark("waypoint", "o", plotting.BLUE, markersize=4),
+        plotting.mark(f"{symbol} parts on the path (source)", SOURCE, **turn),
+        plotting.mark(f"{symbol} meets on the path (sink)", SINK, **turn),
+        plotting.mark("end of a failed agent", STOPPED, plotting.RED),
+    ]
+    plotting.legend_below(figure, marks)
     return figure
 
 
@@ -105,20 +111,6 @@ def _draw_field(
         for points, mark in ((piece.sources, SOURCE), (piece.sinks, SINK)):
             axes.plot(*points.T, mark, color="white", markeredgecolor="black", markersize=8)
     return arrows
-
-
-def _marks(symbol: str) -> list[Line2D]:
-    def mark(marker: str, color: str, label: str) -> Line2D:
-        return Line2D(
-            [], [], ls="", marker=marker, color=color, markeredgecolor="black", label=label
-        )
-
-    return [
-        Line2D([], [], ls="", marker="o", ms=4, color=plotting.BLUE, label="waypoint"),
-        mark(SOURCE, "white", f"{symbol} parts on the path (source)"),
-        mark(SINK, "white", f"{symbol} meets on the path (sink)"),
-        Line2D([], [], ls="", marker="o", color=plotting.RED, label="end of a failed agent"),
-    ]
 
 
 @dataclass(frozen=True)
@@ -164,35 +156,20 @@ def measures_figure(
     groups = list(table.groupby(group, sort=False))
     for panel, own in zip(panels, axes, strict=False):
         for number, (name, fields) in enumerate(groups):
-            by_variant = [fields[fields["variant"] == variant] for variant in names]
-            values = [here[panel.measure].to_numpy(dtype=np.float64) for here in by_variant]
-            offset = GROUP_OFFSET * (number - (len(groups) - 1) / 2)
-            color = COLORS[number % len(COLORS)]
-            _draw_measure(own, panel, values, offset, color, str(name))
+            values = fields.pivot(index="seed", columns="variant", values=panel.measure)
+            by_variant = values[[*names]].to_numpy(dtype=np.float64)
+            style: dict[str, Any] = {"color": COLORS[number % len(COLORS)], "markersize": 5}
+            x = np.arange(len(names)) + GROUP_OFFSET * (number - (len(groups) - 1) / 2)
+            means = [panel.mean(here) for here in by_variant.T]
+            plotting.plot_intervals(own, x, means, fmt="o", label=str(name), **style)
+            beside = np.linspace(-1, 1, len(values)) if len(values) > 1 else np.zeros(1)
+            own.plot(SEED_OFFSET * beside[:, None] + x, by_variant, ".", alpha=0.35, **style)
         own.set_xticks(range(len(names)), list(names.values()), rotation=20, ha="right")
-        own.set(title=panel.label, yscale="log" if panel.log else "linear")
+        # Without any value there is no logarithmic axis.
+        log = panel.log and table[panel.measure].notna().any()
+        own.set(title=panel.label, yscale="log" if log else "linear")
         own.grid(axis="y", alpha=0.3)
     for spare in axes[len(panels) :]:
         spare.set_axis_off()
     plotting.legend_below(figure, *axes[0].get_legend_handles_labels())
     return figure
-
-
-def _draw_measure(
-    axes: Axes,
-    panel: MeasurePanel,
-    values: Sequence[FloatArray],
-    offset: float,
-    color: str,
-    label: str,
-) -> None:
-    """Draws the seeds' values at each tick faintly, and their means with intervals."""
-    means = np.array([panel.mean(here) for here in values])
-    at = np.arange(len(values)) + offset
-    bars = np.nan_to_num(np.abs(means[:, 1:].T - means[:, 0]))
-    axes.errorbar(
-        at, means[:, 0], bars, fmt="o", color=color, markersize=5, capsize=3, label=label
-    )
-    for tick, here in zip(at, values, strict=True):
-        spread = SEED_OFFSET * np.linspace(-1, 1, len(here)) if len(here) > 1 else [0.0]
-        axes.plot(tick + spread, here, ".", color=color, alpha=0.35, markersize=5)

@@ -73,11 +73,6 @@ class PieceDirection:
     sinks: FloatArray
     against: float
 
-    @property
-    def has_conflict(self) -> bool:
-        """Whether the piece is not run through one way."""
-        return len(self.sources) + len(self.sinks) > 0
-
 
 def sample_path(reference: ReferencePath, unit_length: float) -> PathSamples:
     """Returns samples of a path that are `SPACING` U apart, where U is the unit length."""
@@ -173,7 +168,7 @@ def direction_row(pieces: Sequence[PieceDirection]) -> Row:
     return {
         "sources": float(np.mean([len(piece.sources) for piece in pieces])),
         "sinks": float(np.mean([len(piece.sinks) for piece in pieces])),
-        "conflicted": float(np.mean([piece.has_conflict for piece in pieces])),
+        "conflicted": float(np.mean([len(p.sources) + len(p.sinks) > 0 for p in pieces])),
         "opposed": max(piece.against for piece in pieces),
     }
 

@@ -5,9 +5,10 @@ on average over the seeds; in part, if half of both; it is broken if 5 % of the 
 or fewer.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import product
 from pathlib import Path
 import time
 import timeit
@@ -25,7 +26,7 @@ from sgvf_drake.fields import ParametricField
 from sgvf_drake.learning.recipes import RECIPES
 from sgvf_drake.metrics import default_duration
 from sgvf_drake.paper.claims import Claim, Count, Figures, Rows, Verdict, every
-from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
+from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, check_names, run_trials
 from sgvf_drake.paper.intervals import SHARE, interval, interval_columns, over_seeds
 from sgvf_drake.paper.methods import CASES, LEARNED, METHODS, make_case
 from sgvf_drake.paper.ways import Ways, coverage, effort, errors, find_ways
@@ -62,6 +63,9 @@ CAPTIONS = {
     "pieces": "Two concentric circles, one after the other.",
     "corners": "A square, in order; SGVF at corners has an experiment of its own.",
 }
+Cells = Sequence[tuple[str, str]]
+"""Cases, each with a method that is run on it."""
+
 _MEASURES = (
     "Success: share of the starts; coverage: share of the waypoints that those pass within "
     "0.3 U; errors and effort (RMS curvature of their way, the acceleration at unit speed) "
@@ -163,24 +167,21 @@ class BaselineComparison(Experiment):
         Raises:
             ConfigurationError: There is no such case or method, or none is given.
         """
-        _check("case", self.cases, CASES)
-        _check("method", self.methods, METHODS)
-        _check("seed", self.seeds, self.seeds)
+        for what, names, known in (
+            ("case", self.cases, CASES),
+            ("method", self.methods, METHODS),
+        ):
+            check_names(what, names, known)
+            if not names:
+                raise ConfigurationError(f"the comparison needs a {what}")
         cells = [
-            (case, method, trial)
-            for case in self.cases
-            for method in self._methods_on(case, self.methods)
+            (case, trial)
+            for case, method in self._cells()
             # Without chance, the trials of all seeds are the same one.
             for trial in dict.fromkeys(self._trial(case, method, seed) for seed in self.seeds)
         ]
-        different = list(dict.fromkeys(trial for *_, trial in cells))
-        found = run_trials(bench, measure_baseline, different, "baselines")
-        rows = dict(zip(different, found.to_dict("records"), strict=True))
-        return {
-            "cells": pd.DataFrame(
-                {**rows[trial], "case": case, "method": method} for case, method, trial in cells
-            )
-        }
+        found = run_trials(bench, measure_baseline, [trial for _, trial in cells], "baselines")
+        return {"cells": found.assign(case=[case for case, _ in cells])}
 
     def _trial(self, case: str, method: str, seed: int) -> BaselineTrial:
         """Returns the trial; what cannot differ is one trial, run once.
@@ -196,39 +197,28 @@ class BaselineComparison(Experiment):
             seed = self.seeds[0]
         return BaselineTrial(case, method, seed, self.starts)
 
-    def _methods_on(self, case: str, methods: Iterable[str]) -> list[str]:
-        """Returns which of these methods are run on a case."""
-        left_out = LEARNED if case in CLASSICAL_CASES else ()
-        run = case in self.cases
+    def _cells(self) -> list[tuple[str, str]]:
+        """Returns the cases and the methods that are run on them."""
         return [
-            name for name in methods if run and name in self.methods and name not in left_out
+            (case, method)
+            for case in self.cases
+            for method in self.methods
+            if not (case in CLASSICAL_CASES and method in LEARNED)
         ]
 
     def claims(self) -> list[Claim]:
         """Returns the claims whose cases and methods are run."""
-        found = []
+        run, found = self._cells(), []
         for key, source, statement, cases, methods, measure, rule in _CLAIMS:
-            pairs = {case: run for case in cases if (run := self._methods_on(case, methods))}
-            if pairs:
-                measured = partial(measure, pairs=pairs)
+            cells = [(case, name) for case in cases for name in methods if (case, name) in run]
+            if cells:
+                measured = partial(measure, cells=cells)
                 found.append(Claim(key, source, statement, measured, rule))
-        compared = {
-            case: (own, others)
-            for case in self.cases
-            if (own := self._methods_on(case, LEARNED))
-            and (others := self._methods_on(case, CLASSICAL))
-        }
+        compared = [case for case in self.cases if _sides(case, run) == {True, False}]
         if compared:
-            found.append(
-                Claim(
-                    "baselines-advantage",
-                    "Abstract, Section VII",
-                    "SGVF follows paths reliably on which classical guiding vector fields "
-                    "fail.",
-                    partial(_advantage, compared=compared),
-                    _has_advantage,
-                )
-            )
+            cells = [cell for cell in run if cell[0] in compared]
+            measured = partial(_advantage, cells=cells)
+            found.append(Claim(*_ADVANTAGE, measured, _has_advantage))
         return found
 
     def tables(self, rows: Rows) -> list[Exhibit]:
@@ -249,37 +239,24 @@ class BaselineComparison(Experiment):
         height, width = len(methods), len(cases)
         figure, flat = plotting.new_figure(height, width, 2.4 * width, 2.5 * height + 0.4)
         firsts = rows["cells"].groupby(["case", "method"], sort=False).first()
-        for number, axes in enumerate(flat):
-            method, case = methods[number // width], cases[number % width]
+        for axes, (method, case) in zip(flat, product(methods, cases), strict=True):
+            title = ""
             if (case, method) in firsts.index:
                 row: Any = firsts.loc[(case, method)]
                 draw_trajectories(axes, row[FOLDER])
-                axes.set_title(_followed(row["success"], row["coverage"]), fontsize="medium")
+                title = _followed(row["success"], row["coverage"])
+            if method == methods[0]:
+                title = f"{CASES[case].label}\n{title}"
+            axes.set_title(title, fontsize="medium")
             axes.set(xlim=(-SHOWN, SHOWN), ylim=(-SHOWN, SHOWN), aspect="equal")
+            axes.set(xlabel="x [U]", ylabel=f"{METHODS[method].label}\ny [U]")
             axes.label_outer()
-            if number < width:
-                title = f"{CASES[case].label}\n{axes.get_title()}"
-                axes.set_title(title, fontsize="medium")
-            if number % width == 0:
-                axes.set_ylabel(f"{METHODS[method].label}\ny [U]")
-            if number // width == height - 1:
-                axes.set_xlabel("x [U]")
         caption = f"The same {self.starts} {_FIGURE_CAPTION}"
         return [Exhibit("baselines", caption, figure)]
 
     def logs(self, rows: Rows) -> Mapping[str, pd.DataFrame]:
         """Returns all rows."""
-        return {"baselines": rows["cells"].drop(columns=FOLDER)}
-
-
-def _check(what: str, names: Sequence, known: Sequence | Mapping) -> None:
-    if not names:
-        raise ConfigurationError(f"the comparison needs a {what}")
-    for name in names:
-        if name not in known:
-            raise ConfigurationError(
-                f"there is no {what} {name!r} (they are {', '.join(map(str, known))})"
-            )
+        return {"baselines": rows["cells"].drop(columns=FOLDER, errors="ignore")}
 
 
 def _table(case: str, cells: pd.DataFrame) -> pd.DataFrame:
@@ -301,115 +278,93 @@ def _table(case: str, cells: pd.DataFrame) -> pd.DataFrame:
     )
 
 
-class _Shares:
-    """Success and coverage, means over the seeds, by case and method."""
-
-    def __init__(self, rows: Rows) -> None:
-        means = rows["cells"].groupby(["case", "method"])[["success", "coverage"]].mean()
-        self.means = dict(
-            zip(means.index, means.itertuples(index=False, name=None), strict=True)
-        )
-
-    def handles(self, method: str, case: str, part: float = HANDLED) -> bool:
-        return bool(min(self.means[case, method]) >= part)
-
-    def is_broken(self, method: str, case: str) -> bool:
-        return bool(self.means[case, method][0] <= BROKEN)
-
-    def told(self, pairs: Mapping[str, Sequence[str]]) -> dict[str, str]:
-        """Success of methods on each case, and coverage where that is what is missing."""
-        return {
-            f"starts that succeed, {CASES[case].label}": ", ".join(
-                f"{METHODS[method].label} {_followed(*self.means[case, method])}"
-                for method in methods
-            )
-            for case, methods in pairs.items()
-        }
-
-
 def _followed(success: float, covered: float) -> str:
     part = f"{100 * success:.0f} %"
     return f"{part} on {100 * covered:.0f} % of it" if success >= HANDLED > covered else part
 
 
-Pairs = Mapping[str, Sequence[str]]
-"""The methods that are run on each case."""
+def _sides(case: str, cells: Cells) -> set[bool]:
+    """Returns whether learned methods are run on a case, and whether others are."""
+    return {method in LEARNED for own, method in cells if own == case}
 
 
-def _handled(rows: Rows, pairs: Pairs) -> Figures:
-    shares = _Shares(rows)
-    good = (shares.handles(one, case) for case, own in pairs.items() for one in own)
-    return {"handled": Count.of(good), **shares.told(pairs)}
+def _shares(rows: Rows, cells: Cells) -> pd.DataFrame:
+    """Returns success and coverage, means over the seeds, and the `least` of both."""
+    means = rows["cells"].groupby(["case", "method"])[["success", "coverage"]].mean()
+    return means.assign(least=means.min(axis=1)).loc[[*cells]]
 
 
-def _own_handled(rows: Rows, pairs: Pairs) -> Figures:
+def _told(shares: pd.DataFrame) -> dict[str, str]:
+    """Success of methods on each case, and coverage where that is what is missing."""
+    told: dict[str, list[str]] = {}
+    columns = shares.index, shares["success"], shares["coverage"]
+    for (case, method), success, covered in zip(*columns, strict=True):
+        name = f"starts that succeed, {CASES[case].label}"
+        text = f"{METHODS[method].label} {_followed(success, covered)}"
+        told.setdefault(name, []).append(text)
+    return {name: ", ".join(texts) for name, texts in told.items()}
+
+
+def _handled(rows: Rows, cells: Cells) -> Figures:
+    shares = _shares(rows, cells)
+    return {"handled": Count.of(shares["least"] >= HANDLED), **_told(shares)}
+
+
+def _own_handled(rows: Rows, cells: Cells) -> Figures:
     """As `_handled` of the paper's recipe, with the other recipes told beside it."""
-    shares = _Shares(rows)
-    everyone = {
-        case: [name for name in LEARNED if (case, name) in shares.means] for case in pairs
-    }
-    return {**_handled(rows, pairs), **shares.told(everyone)}
+    run = set(rows["cells"].groupby(["case", "method"]).groups)
+    everyone = [(case, name) for case, _ in cells for name in LEARNED if (case, name) in run]
+    return {**_handled(rows, cells), **_told(_shares(rows, everyone))}
 
 
-def _broken(rows: Rows, pairs: Pairs) -> Figures:
-    shares = _Shares(rows)
-    good = (shares.is_broken(one, case) for case, own in pairs.items() for one in own)
-    return {"broken": Count.of(good), **shares.told(pairs)}
+def _broken(rows: Rows, cells: Cells) -> Figures:
+    shares = _shares(rows, cells)
+    return {"broken": Count.of(shares["success"] <= BROKEN), **_told(shares)}
 
 
-def _failures(rows: Rows, pairs: Pairs) -> Figures:
-    shares = _Shares(rows)
-    handled = [
-        [shares.handles(method, case) for case in pairs]
-        for method in next(iter(pairs.values()))
-    ]
+def _failures(rows: Rows, cells: Cells) -> Figures:
+    shares = _shares(rows, cells)
+    handled = (shares["least"] >= HANDLED).groupby("method")
     return {
-        "methods that handle a case": Count.of(map(any, handled)),
-        "methods that handle all cases": Count.of(map(all, handled)),
-        **shares.told(pairs),
+        "methods that handle a case": Count.of(handled.any()),
+        "methods that handle all cases": Count.of(handled.all()),
+        **_told(shares),
     }
 
 
-def _all_fail(figures: Figures) -> Verdict:
+def _all_fail(found: Mapping[str, Any]) -> Verdict:
     """Holds if no method handles any of the cases; not if one handles all."""
     some, one_for_all = (
-        figures[f"methods that handle {what}"] for what in ("a case", "all cases")
+        found[f"methods that handle {what}"] for what in ("a case", "all cases")
     )
-    assert isinstance(some, Count)
-    assert isinstance(one_for_all, Count)
     return Verdict.when(some.good == 0, one_for_all.good == 0)
 
 
-def _advantage(
-    rows: Rows, compared: Mapping[str, tuple[Sequence[str], Sequence[str]]]
-) -> Figures:
-    shares = _Shares(rows)
-    left = {
-        case: own
-        for case, (own, others) in compared.items()
-        if not any(shares.handles(method, case) for method in others)
-    }
+def _advantage(rows: Rows, cells: Cells) -> Figures:
+    shares = _shares(rows, cells)
+    own = shares.index.get_level_values("method").isin(LEARNED)
+    best, others = (side["least"].groupby("case").max() for side in (shares[own], shares[~own]))
+    left = best[others < HANDLED]
     return {
         "cases that no classical method handles, sorting first included": Count(
-            len(left), len(compared)
+            len(left), len(best)
         ),
-        "of these handled by SGVF": Count.of(
-            any(shares.handles(one, case) for one in own) for case, own in left.items()
-        ),
-        "handled in part": Count.of(
-            any(shares.handles(one, case, HALF) for one in own) for case, own in left.items()
-        ),
-        **shares.told(left),
+        "of these handled by SGVF": Count.of(left >= HANDLED),
+        "handled in part": Count.of(left >= HALF),
+        **_told(shares[own & shares.index.get_level_values("case").isin(left.index)]),
     }
 
 
-def _has_advantage(figures: Figures) -> Verdict:
-    handled, partly = figures["of these handled by SGVF"], figures["handled in part"]
-    assert isinstance(handled, Count)
-    assert isinstance(partly, Count)
+def _has_advantage(found: Mapping[str, Any]) -> Verdict:
+    handled, partly = found["of these handled by SGVF"], found["handled in part"]
     return Verdict.when(0 < handled.good == handled.all, partly.good > 0)
 
 
+_ADVANTAGE = (
+    "baselines-advantage",
+    "Abstract, Section VII",
+    "SGVF follows paths reliably on which classical guiding vector fields fail.",
+)
 # Key, source, statement, cases, methods, measure and rule.
 _CLAIMS = (
     (

@@ -5,7 +5,7 @@ a verdict.  The figures say themselves how they are told, so that the evidence n
 of its own.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
@@ -59,7 +59,7 @@ class Share(float):
 
 @dataclass(frozen=True)
 class Mean:
-    """A mean over the seeds with its 95 % interval, told as "0.5 [0.4, 0.6]".
+    """A mean share over the seeds with its 95 % interval, told as "50% [40%, 60%]".
 
     The bounds are NaN for a single value, which shows nothing: no bound compares with it.
     """
@@ -67,25 +67,16 @@ class Mean:
     mean: float
     low: float
     high: float
-    percent: bool = False
 
     @classmethod
-    def of(cls, values: Sequence[float] | pd.Series) -> "Mean":
+    def of(cls, values: pd.Series, within: tuple[float, float] = SHARE) -> "Mean":
         """Returns the mean and interval of values, one a seed; see `interval`."""
-        return cls(*interval(values))
-
-    @classmethod
-    def of_shares(
-        cls, values: Sequence[float] | pd.Series, within: tuple[float, float] = SHARE
-    ) -> "Mean":
-        """Returns the same of shares, which are told in per cent."""
-        return cls(*interval(values, within), percent=True)
+        return cls(*interval(values, within))
 
     def __str__(self) -> str:
-        form = ".0%" if self.percent else ".2g"
         if math.isnan(self.low):
-            return f"{self.mean:{form}}"
-        return f"{self.mean:{form}} [{self.low:{form}}, {self.high:{form}}]"
+            return f"{self.mean:.0%}"
+        return f"{self.mean:.0%} [{self.low:.0%}, {self.high:.0%}]"
 
 
 @dataclass(frozen=True)
@@ -97,10 +88,10 @@ class Span:
     percent: bool = False
 
     @classmethod
-    def of(cls, values: Iterable[float], percent: bool = False) -> "Span":
-        """Returns the span of values; NaN if there are none."""
+    def of(cls, values: Iterable[float]) -> "Span":
+        """Returns the span of values."""
         known = [float(value) for value in values]
-        return cls(min(known, default=math.nan), max(known, default=math.nan), percent)
+        return cls(min(known), max(known))
 
     def __str__(self) -> str:
         form = ".0%" if self.percent else ".3g"
@@ -199,17 +190,12 @@ def _of_recipe(rows: Rows, recipe: str, measure: Callable[[Rows], Figures]) -> F
 
 
 def every(*names: str) -> Callable[[Figures], Verdict]:
-    """Returns the rule that all of each `Count` are good; in part: some of any.
-
-    Args:
-        names: The counts; none: all of them.
-    """
+    """Returns the rule that each `Count` of these names is all; in part: some of any."""
 
     def rule(figures: Figures) -> Verdict:
-        chosen = (figures[name] for name in names or figures)
-        counts = [figure for figure in chosen if isinstance(figure, Count)]
+        counts = [count for name in names if isinstance(count := figures[name], Count)]
         return Verdict.when(
-            bool(counts) and all(0 < count.good == count.all for count in counts),
+            all(0 < count.good == count.all for count in counts),
             any(count.good > 0 for count in counts),
         )
 

@@ -1,6 +1,6 @@
 """Fig. 6: what shallow and deep tangent networks do at the corners of polygons."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 import math
 from pathlib import Path
@@ -10,7 +10,6 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 import numpy as np
 import pandas as pd
 from scipy.stats import spearmanr
@@ -158,31 +157,25 @@ class Corners(Experiment):
         return CLAIMS
 
     def tables(self, rows: Rows) -> Sequence[Exhibit]:
-        fields, traps = corner_fields(rows), corner_traps(rows)
-        fields = fields.sort_values("corners", kind="stable").rename(
-            columns={"angle": "angle, degrees"}
-        )
+        fields = corner_fields(rows).sort_values("corners", kind="stable")
+        fields = fields.rename(columns={"angle": "angle, degrees"})
         by = ("angle, degrees", "network")
         return [
             Exhibit("corner_stalls", STALLS_CAPTION, over_seeds(fields, by, _stalls)),
-            Exhibit(
-                "corner_traps",
-                TRAPS_CAPTION,
-                over_seeds(fields, by, lambda own: _traps(own, traps)),
-            ),
+            Exhibit("corner_traps", TRAPS_CAPTION, over_seeds(fields, by, _traps)),
         ]
 
     def figures(self, rows: Rows) -> Sequence[Exhibit]:
         trials, seed = rows[POLYGONS], self.seeds[0]
-        views = list(_views(trials[trials["seed"] == seed].to_dict("records")))
+        first = trials[trials["seed"] == seed].set_index("corners")
         return [
-            Exhibit("corners", FIGURE_CAPTION.format(seed=seed), corners_figure(views)),
-            Exhibit("corners_near", NEAR_CAPTION, near_figure(views)),
+            Exhibit("corners", FIGURE_CAPTION.format(seed=seed), corners_figure(first)),
+            Exhibit("corners_near", NEAR_CAPTION, near_figure(first)),
             Exhibit("corner_angles", ANGLES_CAPTION, angles_figure(rows)),
         ]
 
     def logs(self, rows: Rows) -> Mapping[str, pd.DataFrame]:
-        return {"corner_fields": corner_fields(rows)}
+        return {"corner_fields": corner_fields(rows).drop(columns="traps")}
 
 
 def measure_corners(trial: CornerTrial, folder: Path) -> Row:
@@ -255,29 +248,26 @@ def _measure(field: GuidingField, trial: CornerTrial, file: Path) -> Row:
 
 
 def corner_fields(rows: Rows) -> pd.DataFrame:
-    """Returns one row a field: what it is, and the figures of `examine`."""
+    """Returns one row a field: what it is, the figures of `examine`, and its `traps`."""
     table = pd.DataFrame(
-        {**labels, **found["figures"], "restarts": found["restarts"]}
-        for labels, found in _fields(rows)
+        {
+            **{"corners": trial["corners"], "angle": 180 - 360 / trial["corners"]},
+            **{"network": network, "seed": trial["seed"]},
+            **trial[network]["figures"],
+            **{name: trial[network][name] for name in ("restarts", "traps")},
+        }
+        for trial in rows[POLYGONS].to_dict("records")
+        for network in NETWORKS
     )
     # Where no field has the figure, the column would be one of objects.
     return table.astype({"near": float, "rms": float, "max": float})
 
 
-def corner_traps(rows: Rows) -> pd.DataFrame:
-    """Returns one row a trap near a corner: its field, and where it is; see `find_traps`."""
-    numbers = ["along", "outside", "distance", "score"]
-    traps = [{**labels, **trap} for labels, found in _fields(rows) for trap in found["traps"]]
-    table = pd.DataFrame(traps, columns=["corners", "network", *numbers])
-    return table.astype(dict.fromkeys(numbers, float))
-
-
-def _fields(rows: Rows) -> Iterator[tuple[Row, Row]]:
-    """Yields what each field is, and what was measured of it."""
-    for trial in rows[POLYGONS].to_dict("records"):
-        polygon = {"corners": trial["corners"], "angle": 180 - 360 / trial["corners"]}
-        for name in NETWORKS:
-            yield {**polygon, "network": name, "seed": trial["seed"]}, trial[name]
+def traps_of(fields: pd.DataFrame) -> pd.DataFrame:
+    """Returns one row a trap near a corner of some fields: where it is; see `find_traps`."""
+    columns = ["along", "outside", "distance", "score"]
+    traps = [trap for own in fields["traps"] for trap in own]
+    return pd.DataFrame(traps, columns=columns).astype(float)
 
 
 def _stalls(fields: pd.DataFrame) -> Row:
@@ -293,9 +283,8 @@ def _stalls(fields: pd.DataFrame) -> Row:
     }
 
 
-def _traps(fields: pd.DataFrame, all_traps: pd.DataFrame) -> Row:
-    corners, network = fields[["corners", "network"]].iloc[0]
-    traps = all_traps[(all_traps["corners"] == corners) & (all_traps["network"] == network)]
+def _traps(fields: pd.DataFrame) -> Row:
+    traps = traps_of(fields)
     along = traps["along"]
     parts = ((along < 0).sum(), (along >= 0).sum(), along.isna().sum())
     return {
@@ -304,7 +293,7 @@ def _traps(fields: pd.DataFrame, all_traps: pd.DataFrame) -> Row:
         "traps": len(traps),
         "before / after / clash": " / ".join(map(str, parts)),
         "outside": int((traps["outside"] > 0).sum()),
-        "distance, U": traps["distance"].mean() if len(traps) else None,
+        "distance, U": traps["distance"].mean(),
         **interval_columns("|m| at corners", fields["speed_corner"]),
         **interval_columns("|m| on sides", fields["speed_side"]),
     }
@@ -324,9 +313,9 @@ def _square(rows: Rows) -> Figures:
     square = _of(rows, "shallow", SQUARE)
     near = square["near"].dropna()
     return {
-        "starts that stall near a corner": Mean.of_shares(square["stalled_near"]),
+        "starts that stall near a corner": Mean.of(square["stalled_near"]),
         "fields where some do": Count.of(square["stalled_near"] > 0),
-        "of those that stall": Mean.of_shares(near) if len(near) else "none",
+        "of those that stall": Mean.of(near) if len(near) else "none",
         "of the path": Share(square["even"].iloc[0]),
     }
 
@@ -343,9 +332,9 @@ def _hexagon(rows: Rows) -> Figures:
     pairs = square.merge(hexagon, on="seed", suffixes=("", "_hexagon"))
     less = pairs["stalled_near"] - pairs["stalled_near_hexagon"]
     return {
-        "starts that stall near a corner of the square": Mean.of_shares(square["stalled_near"]),
-        "of the hexagon": Mean.of_shares(hexagon["stalled_near"]),
-        "difference": Mean.of_shares(less, (-1.0, 1.0)),
+        "starts that stall near a corner of the square": Mean.of(square["stalled_near"]),
+        "of the hexagon": Mean.of(hexagon["stalled_near"]),
+        "difference": Mean.of(less, (-1.0, 1.0)),
         "corners of the square with a trap": Share(square["trapped"].mean()),
         "of the hexagon with a trap": Share(hexagon["trapped"].mean()),
     }
@@ -365,7 +354,7 @@ def _deep(rows: Rows) -> Figures:
         "shallow fields": Count.of(shallow[trap] > 0),
         "corners that trap, deep": Share(deep[trap].mean()),
         "corners that trap, shallow": Share(shallow[trap].mean()),
-        "difference": Mean.of_shares(pairs[trap] - pairs[f"{trap}_deep"], ANY),
+        "difference": Mean.of(pairs[trap] - pairs[f"{trap}_deep"], ANY),
         "starts that stall near a corner, deep": Share(deep["stalled_near"].mean()),
         "starts that do, shallow": Share(shallow["stalled_near"].mean()),
         "deep fields whose sides run different ways around": Count.of(deep["turns"] > 0),
@@ -376,7 +365,7 @@ def _pauses(rows: Rows) -> Figures:
     shallow = _of(rows, "shallow", *NAMES)
     slow = shallow["speed_corner"] / shallow["speed_side"]
     return {
-        SLOW: Mean.of_shares(slow, ANY),
+        SLOW: Mean.of(slow, ANY),
         PAUSED: float(100 * shallow["paused"].mean()),
         STALLED: Share(shallow["stalled"].mean()),
     }
@@ -399,9 +388,8 @@ def _angles(rows: Rows) -> Figures:
 
 
 def _tangent(rows: Rows) -> Figures:
-    traps = corner_traps(rows)
     # Where m is zero, |v| is |s|.
-    norms = traps.loc[traps["network"] == "shallow", "score"]
+    norms = traps_of(_of(rows, "shallow"))["score"]
     return {
         "traps near corners": len(norms),
         "|v| there": Span.of(norms) if len(norms) else "none",
@@ -463,81 +451,72 @@ CLAIMS = (
 # Figures.
 
 
-@dataclass(frozen=True, eq=False)
-class View:
-    """A field of a polygon, as it is drawn, and what was measured of it."""
+def corners_figure(trials: pd.DataFrame) -> Figure:
+    """Returns the trajectories in each panel, and where agents stall (paper, Fig. 6).
 
-    title: str
-    field: GuidingField
-    positions: FloatArray
-    found: Row
-
-
-def _views(trials: Sequence[Mapping[Any, Any]]) -> Iterator[View]:
-    """Reads the fields of the panels from what the trials of one seed left."""
-    by_corners = {trial["corners"]: trial for trial in trials}
-    for corners, network in PANELS:
-        trial = by_corners[corners]
-        file = trial[FOLDER] / network
-        with np.load(file.with_suffix(".npz")) as stored:
-            positions = stored["positions"].astype(np.float64)
-        field = load_guiding_field(file.with_suffix(".safetensors"))
-        yield View(f"{NAMES[corners]}, {network}", field, positions, trial[network])
-
-
-def corners_figure(views: Sequence[View]) -> Figure:
-    """Returns the trajectories of each view, and where agents stall (paper, Fig. 6)."""
+    Args:
+        trials: Those of one seed, by the number of corners.
+    """
     figure, axes = plotting.new_figure(2, 2, 10.5, 10.8)
-    for panel, view in zip(axes, views, strict=True):
-        lapped, stalled = (np.array(view.found[name], bool) for name in ("lapped", "stalled"))
-        plotting.plot_field(panel, view.field, view.field.cloud.box)
-        plotting.plot_trajectories(panel, view.positions, lapped)
-        plotting.plot_waypoints(panel, view.field.cloud.points)
-        final = view.positions[-1, stalled]
+    for panel, (corners, network) in zip(axes, PANELS, strict=True):
+        field, found = _field_of(trials, corners, network)
+        with np.load(trials[FOLDER][corners] / f"{network}.npz") as stored:
+            positions = stored["positions"].astype(np.float64)
+        lapped, stalled = (np.array(found[name], bool) for name in ("lapped", "stalled"))
+        plotting.plot_field(panel, field, field.cloud.box)
+        plotting.plot_trajectories(panel, positions, lapped)
+        plotting.plot_waypoints(panel, field.cloud.points)
+        final = positions[-1, stalled]
         panel.plot(*final.T, "X", color="black", markersize=9, markeredgecolor="white")
-        title = f"{view.title}: {lapped.mean():.0%} lap, {stalled.mean():.0%} stall"
-        plotting.plane_axes(panel, plotting.UNIT, title)
+        told = f"{lapped.mean():.0%} lap, {stalled.mean():.0%} stall"
+        plotting.plane_axes(panel, plotting.UNIT, f"{NAMES[corners]}, {network}: {told}")
     marks = [
-        Line2D([], [], color=plotting.BLUE, label="agent that laps"),
-        Line2D([], [], color=plotting.RED, label="agent that does not"),
-        Line2D([], [], color="black", marker="X", ls="", label="where agents stall"),
-        Line2D([], [], color="black", marker=".", ls="", label="waypoints"),
+        plotting.mark("agent that laps", color=plotting.BLUE),
+        plotting.mark("agent that does not", color=plotting.RED),
+        plotting.mark("where agents stall", "X"),
+        plotting.mark("waypoints", "."),
     ]
     plotting.legend_below(figure, marks)
     return figure
 
 
-def near_figure(views: Sequence[View]) -> Figure:
-    """Returns each field about its slowest corner."""
+def _field_of(trials: pd.DataFrame, corners: int, network: str) -> tuple[GuidingField, Row]:
+    """Reads the field of a panel; returns it, and what was measured of it."""
+    field = load_guiding_field(trials[FOLDER][corners] / f"{network}.safetensors")
+    return field, trials[network][corners]
+
+
+def near_figure(trials: pd.DataFrame) -> Figure:
+    """Returns |m|, stream lines, waypoints and zeros in each panel about the slowest corner."""
     figure, axes = plotting.new_figure(2, 2, 10.5, 10.2)
-    for panel, view in zip(axes, views, strict=True):
-        _plot_corner(panel, view)
+    for panel, (corners, network) in zip(axes, PANELS, strict=True):
+        _plot_corner(panel, *_field_of(trials, corners, network))
+        panel.set_title(f"{NAMES[corners]}, {network}")
     scale = ScalarMappable(NORMS, NORM_COLORS)
     figure.colorbar(scale, ax=axes, label="|m|", shrink=0.6, extend="max")
     marks = [
-        Line2D([], [], color="white", marker="v", mec="black", ls="", label="zero, attracts"),
-        Line2D([], [], color="white", marker="o", mec="black", ls="", label="zero, other"),
-        Line2D([], [], color="black", marker=".", ls="", label="waypoints"),
+        plotting.mark("zero, attracts", "v", "white", mec="black"),
+        plotting.mark("zero, other", "o", "white", mec="black"),
+        plotting.mark("waypoints", "."),
     ]
     plotting.legend_below(figure, marks)
     return figure
 
 
-def _plot_corner(axes: Axes, view: View) -> None:
-    """Draws |m|, stream lines, waypoints and zeros about the slowest corner of a view."""
-    half = WINDOW * view.field.cloud.unit_length
-    corner = np.array(view.found["slowest_corner"])
+def _plot_corner(axes: Axes, field: GuidingField, found: Row) -> None:
+    half = WINDOW * field.cloud.unit_length
+    corner = np.array(found["slowest_corner"])
     x, y, points = plane_grid((corner - half, corner + half), PIXELS)
-    m = view.field(points).reshape(PIXELS, PIXELS, 2)
+    m = field(points).reshape(PIXELS, PIXELS, 2)
     size = np.linalg.norm(m, axis=2)
     axes.pcolormesh(x, y, size, cmap=NORM_COLORS, norm=NORMS, shading="gouraud")
     axes.streamplot(x, y, m[..., 0], m[..., 1], color="white", density=1.1, linewidth=0.7)
-    axes.plot(*view.field.cloud.points.T, ".", color="black", markersize=5)
-    zeros = np.array(view.found["zeros"]).reshape(-1, 2)
-    stable = np.array(view.found["zeros_stable"], bool)
+    axes.plot(*field.cloud.points.T, ".", color="black", markersize=5)
+    zeros = np.array(found["zeros"]).reshape(-1, 2)
+    stable = np.array(found["zeros_stable"], bool)
     for chosen, marker in ((stable, "v"), (~stable, "o")):
         axes.plot(*zeros[chosen].T, marker, color="white", mec="black", markersize=11)
-    plotting.plane_axes(axes, plotting.UNIT, view.title)
+    plotting.plane_axes(axes, plotting.UNIT)
     axes.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
 
 
@@ -545,44 +524,41 @@ def angles_figure(rows: Rows) -> Figure:
     """Returns stalls and traps over the angle, the speed past a corner, and where traps sit."""
     figure, axes = plotting.new_figure(2, 2, 11.5, 9.5)
     trials, fields = rows[POLYGONS], corner_fields(rows)
-    _plot_over_angle(axes[0], fields, "stalled", "agents that stall, %")
-    _plot_over_angle(axes[1], fields, "trapped", "corners with a trap, %")
-    _plot_profiles(axes[2], list(trials.loc[trials["corners"] == SQUARE, FOLDER]))
-    # Without those at which the sides run against each other, which are past no corner.
-    _plot_traps(axes[3], corner_traps(rows).dropna(subset="along"))
+    squares = trials.loc[trials["corners"] == SQUARE, FOLDER]
+    for network, (color, marker, shift) in STYLES.items():
+        own = fields[fields["network"] == network]
+        for panel, name in zip(axes, ("stalled", "trapped"), strict=False):
+            shares = own.groupby("angle")[name]
+            means = [[100 * x for x in interval(here, SHARE)] for _, here in shares]
+            angles = np.array(list(shares.groups)) + shift
+            style: dict[str, Any] = {"color": color, "marker": marker, "label": network}
+            plotting.plot_intervals(panel, angles, means, **style)
+        # From the middle of one side over the corner to the middle of the next.
+        past = np.concatenate([_speed_past_corners(folder, network) for folder in squares])
+        part = (np.arange(past.shape[1]) + 0.5) / past.shape[1] - 0.5
+        low, median, high = np.quantile(past, [0.1, 0.5, 0.9], axis=0)
+        axes[2].fill_between(part, low, high, color=color, alpha=0.15)
+        axes[2].plot(part, median, color=color, label=network)
+        # Without those at which the sides run against each other, which are past no corner.
+        traps = traps_of(own).dropna(subset="along")
+        label = f"{network}: {len(traps)}"
+        style = {"s": 26, "color": color, "marker": marker, "label": label}
+        axes[3].scatter(traps["along"], traps["outside"], **style)
+    axes[3].axvline(0, color="black", linewidth=0.8)
+    axes[3].axhline(0, color="black", linewidth=0.8)
+    for panel, label in zip(
+        axes, ("agents that stall, %", "corners with a trap, %"), strict=False
+    ):
+        panel.set(xlabel="angle of the corners [degrees]", xticks=sorted(set(fields["angle"])))
+        panel.set(ylabel=label, ylim=(-5, 105))
+    axes[2].set(xlabel="past the corner of the square [sides]", ylabel="|m| on the path")
+    axes[2].set_ylim(0, 1.25)
+    axes[3].set_xlabel("past the corner along the way [U], negative before it")
+    axes[3].set_ylabel("outside of the polygon [U]")
     for panel in axes:
         panel.grid(alpha=0.3)
         panel.legend(loc="best")
     return figure
-
-
-def _plot_over_angle(axes: Axes, fields: pd.DataFrame, name: str, label: str) -> None:
-    """Draws the mean share of each network over the angle of the corners, in per cent."""
-    for network, (color, marker, shift) in STYLES.items():
-        shares = fields[fields["network"] == network].groupby("angle")[name]
-        angles = np.array([angle for angle, _ in shares], dtype=np.float64)
-        mean, low, high = 100 * np.array([interval(own, SHARE) for _, own in shares]).T
-        spread = np.nan_to_num(np.stack([mean - low, high - mean]))
-        axes.errorbar(
-            angles + shift, mean, spread, color=color, marker=marker, capsize=3, label=network
-        )
-    axes.set(xlabel="angle of the corners [degrees]", xticks=sorted(set(fields["angle"])))
-    axes.set(ylabel=label, ylim=(-5, 105))
-
-
-def _plot_profiles(axes: Axes, folders: Sequence[Path]) -> None:
-    """Draws the median |m| past a corner, with the range from 10 % to 90 % of them."""
-    for network in NETWORKS:
-        # From the middle of one side over the corner to the middle of the next.
-        past = np.concatenate([_speed_past_corners(folder, network) for folder in folders])
-        part = (np.arange(past.shape[1]) + 0.5) / past.shape[1] - 0.5
-        low, median, high = np.quantile(past, [0.1, 0.5, 0.9], axis=0)
-        color = STYLES[network][0]
-        axes.fill_between(part, low, high, color=color, alpha=0.15)
-        axes.plot(part, median, color=color, label=network)
-    axes.set(
-        xlabel="past the corner of the square [sides]", ylabel="|m| on the path", ylim=(0, 1.25)
-    )
 
 
 def _speed_past_corners(folder: Path, network: str) -> FloatArray:
@@ -592,19 +568,3 @@ def _speed_past_corners(folder: Path, network: str) -> FloatArray:
     if clockwise:
         speed = speed[::-1, ::-1]
     return np.roll(speed, speed.shape[1] // 2)
-
-
-def _plot_traps(axes: Axes, traps: pd.DataFrame) -> None:
-    """Draws where traps of each network sit: past the corner along the way, outside."""
-    for network, (color, marker, _) in STYLES.items():
-        own = traps[traps["network"] == network]
-        label = f"{network}: {len(own)}"
-        axes.scatter(
-            own["along"], own["outside"], s=26, color=color, marker=marker, label=label
-        )
-    axes.axvline(0, color="black", linewidth=0.8)
-    axes.axhline(0, color="black", linewidth=0.8)
-    axes.set(
-        xlabel="past the corner along the way [U], negative before it",
-        ylabel="outside of the polygon [U]",
-    )

@@ -6,8 +6,8 @@ reproduction are enough to draw the tables and judge the claims again.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 import json
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,8 @@ from typing import Any
 from matplotlib.figure import Figure
 import pandas as pd
 
-from sgvf_drake.experiments.results import plain
+from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.experiments.results import plain, save_figure
 from sgvf_drake.experiments.workbench import Measure, Workbench
 from sgvf_drake.paper.claims import Claim, Finding, Rows, judge
 
@@ -38,24 +39,17 @@ class Exhibit:
     caption: str
     content: Figure | pd.DataFrame
 
+    @property
+    def file(self) -> str:
+        """The name of its file."""
+        return f"{self.name}.{'png' if isinstance(self.content, Figure) else 'csv'}"
 
-@dataclass(frozen=True, eq=False)
-class Outcome:
-    """What an experiment found.
-
-    Attributes:
-        exhibits: Figures and tables, in the order in which they are read.
-        claims: One for each thing the paper says that was put to the test.
-        figures: Further numbers by name, for `summary.json`.
-        logs: Long tables by name, that are stored as Parquet and not shown.
-        rows: What tables and claims follow from.
-    """
-
-    exhibits: Sequence[Exhibit]
-    claims: Sequence[Finding] = ()
-    figures: Mapping[str, Any] = field(default_factory=dict)
-    logs: Mapping[str, pd.DataFrame] = field(default_factory=dict)
-    rows: Rows = field(default_factory=dict)
+    def save(self, folder: Path) -> None:
+        """Writes its file into a folder."""
+        if isinstance(self.content, Figure):
+            save_figure(self.content, folder / self.file)
+        else:
+            self.content.to_csv(folder / self.file, index=False)
 
 
 class Experiment(ABC):
@@ -87,17 +81,14 @@ class Experiment(ABC):
         """Judges the claims by the rows."""
         return [judge(claim, rows) for claim in self.claims()]
 
-    def run(self, bench: Workbench) -> Outcome:
-        """Runs the trials on a bench and says what they show."""
-        rows = self.measure(bench)
-        return Outcome(
-            exhibits=[*self.figures(rows), *self.tables(rows)],
-            claims=self.findings(rows),
-            logs=self.logs(rows),
-            rows={
-                name: own.drop(columns=FOLDER, errors="ignore") for name, own in rows.items()
-            },
-        )
+
+def check_names(what: str, names: Iterable[str], known: Iterable[str]) -> None:
+    """Raises a `ConfigurationError` if one of the names is not among those that are known."""
+    for name in names:
+        if name not in known:
+            raise ConfigurationError(
+                f"there is no {what} {name!r} (they are {', '.join(known)})"
+            )
 
 
 def run_trials(
@@ -122,11 +113,12 @@ def run_trials(
 
 
 def save_rows(rows: Rows, file: Path) -> None:
-    """Writes the rows of the trials of an experiment as JSON, one line a row."""
+    """Writes the rows of trials as JSON, one line a row, without what is left in folders."""
     lines = [
         f"{json.dumps(name)}: [\n"
         + ",\n".join(
-            json.dumps(plain(row), allow_nan=False) for row in table.to_dict("records")
+            json.dumps(plain(row), allow_nan=False)
+            for row in table.drop(columns=FOLDER, errors="ignore").to_dict("records")
         )
         + "\n]"
         for name, table in rows.items()

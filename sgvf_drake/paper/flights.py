@@ -34,6 +34,7 @@ LARGEST_STEP = 0.05
 MOTION = (
     *("speed_min_m_s", "speed_max_m_s", "velocity_step_m_s"),
     *("force_min_n", "force_max_n", "force_step_n", "limit_n"),
+    *("rms_m", "acceleration_max_m_s2", "jerk_rms_m_s3"),
 )
 PARTS_CAPTION = (
     "Parts of the flights, over the seeds; the first piece with the way in from beside the "
@@ -252,9 +253,11 @@ def parts_table(flights: pd.DataFrame) -> pd.DataFrame:
             **interval_columns("RMS, mm", MM * own["cross_track_rms_m"]),
             **interval_columns("largest, mm", MM * own["cross_track_max_m"]),
             **interval_columns("time, s", own["end_s"] - own["begin_s"]),
-            "speed, m/s": f"{own['speed_min_m_s'].min():.2f}-{own['speed_max_m_s'].max():.2f}",
-            "force, %": _percent(
-                own["motor_force_min_n"].min(), own["motor_force_max_n"].max(), limit
+            "speed, m/s": _range(own["speed_min_m_s"].min(), own["speed_max_m_s"].max(), ".2f"),
+            "force, %": _range(
+                100 * own["motor_force_min_n"].min() / limit,
+                100 * own["motor_force_max_n"].max() / limit,
+                ".1f",
             ),
         },
     )
@@ -276,30 +279,27 @@ def _named_parts(summary: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any
 
 
 def flights_table(flights: pd.DataFrame) -> pd.DataFrame:
-    """Returns one row a flight."""
-    rows = []
-    for flight in flights.to_dict("records"):
-        lost = not pd.isna(flight["error"])
-        row = {name: flight[name] for name in ("shape", "recipe", "seed")}
-        row |= {
-            "outcome": outcome(flight),
-            "RMS, mm": np.nan if lost else MM * flight["rms_m"],
+    """Returns one row a flight, with nothing but its outcome where it lost control."""
+    motion = flights.reindex(columns=MOTION).astype(float)
+    force = 100 * motion.filter(regex="^force").div(motion["limit_n"], axis=0)
+    speeds = zip(motion["speed_min_m_s"], motion["speed_max_m_s"], strict=True)
+    forces = zip(force["force_min_n"], force["force_max_n"], strict=True)
+    return pd.DataFrame(
+        {
+            **{name: flights[name] for name in ("shape", "recipe", "seed")},
+            "outcome": [outcome(flight) for flight in flights.to_dict("records")],
+            "RMS, mm": MM * motion["rms_m"],
+            "speed, m/s": [_range(*ends, ".2f") for ends in speeds],
+            "largest acceleration, m/s^2": motion["acceleration_max_m_s2"],
+            "jerk (RMS), m/s^3": motion["jerk_rms_m_s3"],
+            "force, %": [_range(*ends, ".1f") for ends in forces],
+            "force step, %": force["force_step_n"],
         }
-        if not lost:
-            limit = flight["limit_n"]
-            row |= {
-                "speed, m/s": f"{flight['speed_min_m_s']:.2f}-{flight['speed_max_m_s']:.2f}",
-                "largest acceleration, m/s^2": flight["acceleration_max_m_s2"],
-                "jerk (RMS), m/s^3": flight["jerk_rms_m_s3"],
-                "force, %": _percent(flight["force_min_n"], flight["force_max_n"], limit),
-                "force step, %": 100 * flight["force_step_n"] / limit,
-            }
-        rows.append(row)
-    return pd.DataFrame(rows)
+    )
 
 
-def _percent(low: float, high: float, limit: float) -> str:
-    return f"{100 * low / limit:.1f}-{100 * high / limit:.1f}"
+def _range(low: float, high: float, digits: str) -> str | None:
+    return None if np.isnan(low) else f"{low:{digits}}-{high:{digits}}"
 
 
 def outcome(flight: Mapping[Any, Any]) -> str:

@@ -30,16 +30,7 @@ from sgvf_drake.paper.baselines import (
     follow_case,
     measure_baseline,
 )
-from sgvf_drake.paper.claims import (
-    Claim,
-    Count,
-    Figures,
-    Rows,
-    Share,
-    Span,
-    Verdict,
-    every,
-)
+from sgvf_drake.paper.claims import Claim, Count, Figures, Rows, Share, Span, Verdict, every
 from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
 from sgvf_drake.paper.intervals import SHARE, interval_columns, over_seeds
 from sgvf_drake.paper.methods import CASES, make_case
@@ -72,6 +63,9 @@ FAR, LONGER = SETTLE_DISTANCE, 1.5
 AGREEMENT = 1.5
 # Agents that succeed, and waypoints that they pass, where a path is followed; and in part.
 MOST, HALF = 0.95, 0.5
+# What is told of the claim that no order is needed, and asked for by its rule.
+NO_ORDER = "order matters no more than the seed"
+FOLLOWED = "shuffled waypoints are followed"
 
 FIGURE_CAPTION = (
     "Top: curves through waypoints in the order in which they are given, on a smooth closed "
@@ -106,16 +100,6 @@ class CurveTrial:
     seed: int
 
 
-@dataclass(frozen=True)
-class LearnedTrial:
-    """A field trained on a case, one of `GIVEN`; the rest is as in `Indexing`."""
-
-    case: str
-    recipe: str
-    seed: int
-    starts: int
-
-
 def measure_curve(trial: CurveTrial, folder: Path) -> Row:
     """Measures a curve against the path that its waypoints come from; leaves nothing.
 
@@ -133,17 +117,17 @@ def measure_curve(trial: CurveTrial, folder: Path) -> Row:
     }
 
 
-def measure_learned(trial: LearnedTrial, folder: Path) -> Row:
-    """Trains a field and follows it; leaves it, and the trajectories as `measure_baseline`.
+def measure_learned(trial: BaselineTrial, folder: Path) -> Row:
+    """Trains a field by a recipe and follows it; leaves it, and its trajectories.
 
     Returns:
         success and coverage, the share of agents that succeed and of waypoints they pass.
     """
     cloud, path = make_case(CASES[trial.case], trial.seed)
     # One attempt: at a fork, the self-check finds a fault in whatever was trained.
-    field = trained(cloud, trial.recipe, trial.seed, max_restarts=0).guiding_field
+    field = trained(cloud, trial.method, trial.seed, max_restarts=0).guiding_field
     field.save(folder / FIELD)
-    run, ways = follow_case(field, path, trial.recipe, trial.starts, folder)
+    run, ways = follow_case(field, path, trial.method, trial.starts, folder)
     return {"success": float(ways.good.mean()), "coverage": coverage(run, ways, cloud)}
 
 
@@ -205,29 +189,21 @@ class Indexing(Experiment):
         ]
         # One seed more on the ordered waypoints, only to compare its field with.
         further = max(self.seeds) + 1
-        learned = run_trials(
-            bench,
-            measure_learned,
-            [
-                LearnedTrial(case, self.recipe, seed, self.starts)
-                for case in GIVEN
-                for seed in (*self.seeds, *([further] if case == "ordered" else []))
-            ],
-            "indexing, learned fields",
-        )
+        recipes = [
+            BaselineTrial(case, self.recipe, seed, self.starts)
+            for case in GIVEN
+            for seed in (*self.seeds, *([further] if case == "ordered" else []))
+        ]
+        learned = run_trials(bench, measure_learned, recipes, "indexing, learned fields")
         fields = {
             case: [load_guiding_field(folder / FIELD) for folder in own[FOLDER]]
             for case, own in learned.groupby("case")
         }
-        agents = [
-            run_trials(bench, measure_baseline, classical, "indexing, classical fields").rename(
-                columns={"method": "field"}
-            ),
-            learned[learned["seed"] != further].rename(columns={"recipe": "field"}),
-        ]
+        followed = run_trials(bench, measure_baseline, classical, "indexing, classical fields")
+        agents = pd.concat([followed, learned[learned["seed"] != further]], ignore_index=True)
         return {
             "curves": run_trials(bench, measure_curve, curves, "indexing, curves"),
-            "agents": pd.concat(agents, ignore_index=True),
+            "agents": agents.rename(columns={"method": "field"}),
             "changes": field_changes(fields["ordered"], fields["shuffled"]),
         }
 
@@ -262,7 +238,7 @@ class Indexing(Experiment):
                 SECTION,
                 f"SGVF needs no order of the waypoints (recipe {self.recipe}).",
                 partial(_freedom, recipe=self.recipe),
-                every(),
+                every(NO_ORDER, FOLLOWED),
                 of_paper,
             ),
             Claim(
@@ -278,10 +254,35 @@ class Indexing(Experiment):
 
     def tables(self, rows: Rows) -> list[Exhibit]:
         """Returns the tables of curves, of agents, and of the changes of fields."""
+        curves = over_seeds(
+            rows["curves"].replace({"curve": LABELS}),
+            ("case", "curve", "waypoints"),
+            lambda own: {
+                **interval_columns("length over true", own["length_ratio"]),
+                **interval_columns("farthest from path, U", own["farthest_u"]),
+            },
+        )
+        agents = over_seeds(
+            rows["agents"].assign(field=rows["agents"]["field"].map(_label)),
+            ("case", "field"),
+            lambda own: {
+                **interval_columns("success", own["success"], SHARE),
+                **interval_columns("coverage", own["coverage"], SHARE),
+            },
+        )
+        changes = over_seeds(
+            rows["changes"],
+            ("change",),
+            lambda own: {
+                column: value
+                for name in own.columns.drop("change")
+                for column, value in interval_columns(name, own[name]).items()
+            },
+        )
         return [
-            Exhibit("indexing_curves", CURVES_CAPTION, _curves_table(rows["curves"])),
-            Exhibit("indexing_agents", AGENTS_CAPTION, _agents_table(rows["agents"])),
-            Exhibit("indexing_order", ORDER_CAPTION, _order_table(rows["changes"])),
+            Exhibit("indexing_curves", CURVES_CAPTION, curves),
+            Exhibit("indexing_agents", AGENTS_CAPTION, agents),
+            Exhibit("indexing_order", ORDER_CAPTION, changes),
         ]
 
     def figures(self, rows: Rows) -> list[Exhibit]:
@@ -292,7 +293,11 @@ class Indexing(Experiment):
         firsts: Any = rows["agents"].groupby(["case", "field"]).first()
         for column, case in enumerate(GIVEN):
             cloud, _ = make_waypoints(CurveTrial(case, DRAWN, self.thinning[0], self.seeds[0]))
-            _draw_curves(axes[column], cloud)
+            for curve, color in COLORS.items():
+                x = cloud.normalize(curve_points(curve, cloud))
+                axes[column].plot(*x.T, color=color, linewidth=1.0, label=LABELS[curve])
+            points = cloud.normalize(cloud.points)
+            axes[column].plot(*points.T, "o", color="black", markersize=3.5)
             _frame(axes[column], f"{case}, {cloud.num_points} waypoints")
             for row, name in enumerate(shown, start=1):
                 here = axes[row * width + column]
@@ -365,10 +370,10 @@ def _freedom(rows: Rows, recipe: str) -> Figures:
     own = agents[(agents["case"] == "shuffled") & (agents["field"] == recipe)]
     success = own["success"].min()
     return {
-        "order matters no more than the seed": Count.of([order <= AGREEMENT * seed]),
+        NO_ORDER: Count.of([order <= AGREEMENT * seed]),
         "RMS change of m over the box by another order": float(order),
         "by another seed": float(seed),
-        "shuffled waypoints are followed": Count.of([success >= MOST]),
+        FOLLOWED: Count.of([success >= MOST]),
         "agents that succeed on them, least of the seeds": Share(success),
     }
 
@@ -392,48 +397,6 @@ def _label(field: str) -> str:
     return LABELS.get(field, f"SGVF, {field}")
 
 
-def _draw_curves(axes: Axes, cloud: PointCloud) -> None:
-    for name, color in COLORS.items():
-        x = cloud.normalize(curve_points(name, cloud))
-        axes.plot(x[:, 0], x[:, 1], color=color, linewidth=1.0, label=LABELS[name])
-    points = cloud.normalize(cloud.points)
-    axes.plot(points[:, 0], points[:, 1], "o", color="black", markersize=3.5)
-
-
 def _frame(axes: Axes, title: str) -> None:
     plotting.plane_axes(axes, "U", title)
     axes.set(xlim=(-HALF_SIZE, HALF_SIZE), ylim=(-HALF_SIZE, HALF_SIZE))
-
-
-def _curves_table(curves: pd.DataFrame) -> pd.DataFrame:
-    return over_seeds(
-        curves.assign(curve=curves["curve"].map(LABELS)),
-        ("case", "curve", "waypoints"),
-        lambda own: {
-            **interval_columns("length over true", own["length_ratio"]),
-            **interval_columns("farthest from path, U", own["farthest_u"]),
-        },
-    )
-
-
-def _agents_table(agents: pd.DataFrame) -> pd.DataFrame:
-    return over_seeds(
-        agents.assign(field=agents["field"].map(_label)),
-        ("case", "field"),
-        lambda own: {
-            **interval_columns("success", own["success"], SHARE),
-            **interval_columns("coverage", own["coverage"], SHARE),
-        },
-    )
-
-
-def _order_table(changes: pd.DataFrame) -> pd.DataFrame:
-    return over_seeds(
-        changes,
-        ("change",),
-        lambda own: {
-            column: value
-            for name in own.columns.drop("change")
-            for column, value in interval_columns(str(name), own[name]).items()
-        },
-    )

@@ -47,13 +47,7 @@ def interval(
 
 
 def fraction_interval(successes: int, trials: int) -> tuple[float, float, float]:
-    """Returns successes / trials and its 95 % Wilson interval.
-
-    Raises:
-        ValueError: If there is no trial, or if there are more successes than trials.
-    """
-    if not 0 <= successes <= trials or trials == 0:
-        raise ValueError(f"{successes} of {trials} trials cannot be successes")
+    """Returns successes / trials and its 95 % Wilson interval."""
     found = stats.binomtest(successes, trials).proportion_ci(CONFIDENCE, method="wilson")
     return successes / trials, float(found.low), float(found.high)
 

@@ -16,9 +16,6 @@ from sgvf_drake.paper.ablation import (
     COMPLETE,
     FIELDS,
     FOLLOWED,
-    NO_DIRECTION,
-    NO_ORTHOGONALITY,
-    NO_UNIT,
     Ablation,
     AblationTrial,
     Effect,
@@ -44,15 +41,18 @@ TABLES = (
         "completes a lap and both rings have some. The shallow and the deep network stand "
         "apart, since either may fail with all losses; means with 95 % intervals over the "
         "seeds.",
-        means={**FOLLOWED, "slowest |m| on the path": ("following.speed_min", POSITIVE)},
-        counts={"followable seeds": "following.followable"},
+        {
+            "followable seeds": ("following.followable", Count),
+            **FOLLOWED,
+            "slowest |m| on the path": ("following.speed_min", POSITIVE),
+        },
     ),
     SeedsTable(
         "claims",
         "What the paper says of each loss, measured: lengths of m and v (near: within 0.1 U "
         "of the path, away: beyond 1 U), whether v leads along the path or off it, and where "
         "v turns around on a ring.",
-        means={
+        {
             "longest v, box": ("lengths.v_box_max", POSITIVE),
             "RMS of |m| - 1, box": ("lengths.m_error", POSITIVE),
             "|v| near / away": ("lengths.fading", POSITIVE),
@@ -70,15 +70,16 @@ TABLES = (
         "The same fields in the sampled Lyapunov checks: whether there is a band of levels on "
         "which V falls around a tube along each ring, and what speaks against it near the "
         "path.",
-        means={
+        {
+            "holds": ("check.holds", Count),
+            "has a band": ("check.band", Count),
             "zeros of m near the path": ("check.zeros", POSITIVE),
             "smallest |m| there": ("check.slowest", POSITIVE),
             "V falls, part of the box": ("check.falls", SHARE),
             "eps = |cos(s, v)|, box": ("check.cosine", SHARE),
             "| |m| - 1 |, box": ("check.length_error", POSITIVE),
+            "first seed": ("check.reason", str),
         },
-        counts={"holds": "check.holds", "has a band": "check.band"},
-        firsts={"first seed": "check.reason"},
     ),
 )
 
@@ -118,7 +119,7 @@ class LossAblation(Ablation):
                 shape=self.shape,
                 seed=seed,
                 hidden=tuple(hidden),
-                variants=(NO_UNIT, NO_ORTHOGONALITY, NO_DIRECTION),
+                variants=("no-unit", "no-orthogonality", "no-direction"),
                 patience=self.patience,
             )
             for seed in self.seeds
@@ -146,52 +147,6 @@ class Part:
     factor: bool = False
 
 
-# Magnitudes are uncontrolled where the longest v of the box is longer; the length of m is the
-# loss that was removed, and says nothing.  That v dominates near the path and diminishes away
-# from it is read in two ways: as |v| near over |v| away, which is above one in the complete
-# recipe and falls; and as v being longer than s in less than half of what is away, and in more
-# of it without the loss.
-OF_UNIT_LENGTH = (
-    Part("longest v in the box", "lengths.v_box_max", lambda effect: effect.rises, factor=True),
-    Part(
-        "|v| near the path over |v| away",
-        "lengths.fading",
-        lambda effect: effect.complete[0] > 1 and effect.falls,
-        factor=True,
-    ),
-    Part(
-        "share of what is away where v is longer than s",
-        "lengths.leads_away",
-        lambda effect: effect.complete[0] < 0.5 and effect.rises,
-    ),
-)
-# v does not follow the path where going along it leads farther off; it diverges where its mean
-# component away from the path is above zero, and above that of the complete recipe; m does not
-# follow where fewer agents complete a lap.
-OF_ORTHOGONALITY = (
-    Part("U off the path after 3 U along v", "drift.drift_u", lambda effect: effect.rises),
-    Part(
-        "mean part of v away from the path",
-        "drift.outward",
-        lambda effect: effect.removed[1] > 0 and effect.rises,
-    ),
-    Part("share of agents that lap", "following.lap", lambda effect: effect.falls),
-)
-# There are conflicting directions where more rings are not run through one way, and none is
-# that way in the complete recipe; one line of each kind where the rings of every seed have one
-# source on average, to a half.
-OF_DIRECTION = (
-    Part(
-        "share of rings with two directions",
-        "tangent.conflicted",
-        lambda effect: effect.rises and effect.complete[0] == 0,
-    ),
-    Part(
-        "sources of a ring",
-        "tangent.sources",
-        lambda effect: effect.rises and all(abs(one - 1) <= 0.5 for one in effect.seeds),
-    ),
-)
 LAPPED, FOUND = "every start laps, complete", "parts found"
 
 
@@ -217,50 +172,95 @@ def _measure_parts(rows: Rows, variant: str, parts: Sequence[Part]) -> Figures:
     return {FOUND: Count.of(found), **told}
 
 
-SOURCE = "Section V-C, Fig. 4"
-CLAIMS = (
-    # The claim that the others stand on.
-    Claim(
-        "all-losses",
-        "Section V-C",
-        "With all three losses the guiding field is reliable; measured by more than the two "
-        "agents of the paper: all starts of a grid follow the rings all the way around.",
-        _measure_laps,
-        every(LAPPED),
+# The claim that the others stand on.
+_ALL_LOSSES = Claim(
+    "all-losses",
+    "Section V-C",
+    "With all three losses the guiding field is reliable; measured by more than the two "
+    "agents of the paper: all starts of a grid follow the rings all the way around.",
+    _measure_laps,
+    every(LAPPED),
+)
+# Key, panel of Fig. 4, statement, variant, and the parts of the claim.
+_OF_LOSSES = (
+    (
+        "unit-length",
+        "(a)",
+        "Without the unit length loss the tangent has uncontrolled magnitudes; that it "
+        "dominates near the path and diminishes away from it is disrupted.",
+        "no-unit",
+        # Magnitudes are uncontrolled where the longest v of the box is longer; the length of
+        # m is the loss that was removed, and says nothing.  That v dominates near the path
+        # and diminishes away from it is read in two ways: as |v| near over |v| away, which is
+        # above one in the complete recipe and falls; and as v being longer than s in less
+        # than half of what is away, and in more of it without the loss.
+        (
+            Part("longest v in the box", "lengths.v_box_max", Effect.rises, factor=True),
+            Part(
+                "|v| near the path over |v| away",
+                "lengths.fading",
+                lambda effect: effect.complete[0] > 1 and effect.falls(),
+                factor=True,
+            ),
+            Part(
+                "share of what is away where v is longer than s",
+                "lengths.leads_away",
+                lambda effect: effect.complete[0] < 0.5 and effect.rises(),
+            ),
+        ),
     ),
+    (
+        "orthogonality",
+        "(b)",
+        "Without the orthogonality loss the tangent does not follow the path, and diverges "
+        "away from it.",
+        "no-orthogonality",
+        # v does not follow the path where going along it leads farther off; it diverges where
+        # its mean component away from the path is above zero, and above that of the complete
+        # recipe; m does not follow where fewer agents complete a lap.
+        (
+            Part("U off the path after 3 U along v", "drift.drift_u", Effect.rises),
+            Part(
+                "mean part of v away from the path",
+                "drift.outward",
+                lambda effect: effect.removed[1] > 0 and effect.rises(),
+            ),
+            Part("share of agents that lap", "following.lap", Effect.falls),
+        ),
+    ),
+    (
+        "directional-consistency",
+        "(c)",
+        "Without the directional consistency loss the tangent has two conflicting directions, "
+        "with one line a source and another a sink.",
+        "no-direction",
+        # There are conflicting directions where more rings are not run through one way, and
+        # none is that way in the complete recipe; one line of each kind where the rings of
+        # every seed have one source on average, to a half.
+        (
+            Part(
+                "share of rings with two directions",
+                "tangent.conflicted",
+                lambda effect: effect.rises() and effect.complete[0] == 0,
+            ),
+            Part(
+                "sources of a ring",
+                "tangent.sources",
+                lambda effect: effect.rises() and all(abs(x - 1) <= 0.5 for x in effect.seeds),
+            ),
+        ),
+    ),
+)
+CLAIMS = (
+    _ALL_LOSSES,
     *(
         Claim(
             key,
-            f"{SOURCE} {panel}",
+            f"Section V-C, Fig. 4 {panel}",
             statement,
             partial(_measure_parts, variant=variant, parts=parts),
             every(FOUND),
         )
-        for key, panel, statement, variant, parts in (
-            (
-                "unit-length",
-                "(a)",
-                "Without the unit length loss the tangent has uncontrolled magnitudes; that it "
-                "dominates near the path and diminishes away from it is disrupted.",
-                NO_UNIT,
-                OF_UNIT_LENGTH,
-            ),
-            (
-                "orthogonality",
-                "(b)",
-                "Without the orthogonality loss the tangent does not follow the path, and "
-                "diverges away from it.",
-                NO_ORTHOGONALITY,
-                OF_ORTHOGONALITY,
-            ),
-            (
-                "directional-consistency",
-                "(c)",
-                "Without the directional consistency loss the tangent has two conflicting "
-                "directions, with one line a source and another a sink.",
-                NO_DIRECTION,
-                OF_DIRECTION,
-            ),
-        )
+        for key, panel, statement, variant, parts in _OF_LOSSES
     ),
 )

@@ -5,13 +5,11 @@ from dataclasses import dataclass, field
 from itertools import cycle
 from pathlib import Path
 
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 import numpy as np
 import pandas as pd
 
 from sgvf_drake import plotting
-from sgvf_drake.arrays import FloatArray
 from sgvf_drake.experiments.follow import FollowResult, follow
 from sgvf_drake.experiments.quality.measures import following, measure_score
 from sgvf_drake.experiments.workbench import Row, Workbench
@@ -201,46 +199,35 @@ class Overview(Experiment):
         ]
 
     def tables(self, rows: Rows) -> Sequence[Exhibit]:
+        fields = over_seeds(
+            rows["fields"],
+            ("shape", "recipe"),
+            lambda own: {
+                "reach": own["reach"].mean(),
+                **interval_columns("lap", own["lap"], SHARE),
+                **fraction_columns("fields followed", followed(own).tolist()),
+                **interval_columns("RMS, U", own["rms_u"]),
+                **interval_columns("largest, U", own["max_u"]),
+                **interval_columns("least |m|", own["speed_min"]),
+                **interval_columns("largest |m|", own["speed_max"]),
+                **interval_columns("training, s CPU", own["train_cpu_s"]),
+            },
+        )
+        losses = pd.DataFrame(
+            {
+                **{"shape": field["shape"], "recipe": field["recipe"], "loss": term},
+                **{"first tenth": loss["begin"], "last tenth": loss["end"]},
+                "change, %": 100 * loss["change"],
+                "highest later, %": 100 * loss["peak"],
+            }
+            for field in rows["fields"].to_dict("records")
+            for term, loss in field["losses"].items()
+        )
+        means = losses.groupby(["shape", "recipe", "loss"], sort=False).mean().reset_index()
         return [
-            Exhibit("overview_fields", FIELDS_CAPTION, fields_table(rows["fields"])),
-            Exhibit("overview_losses", LOSSES_CAPTION, losses_table(rows["fields"])),
+            Exhibit("overview_fields", FIELDS_CAPTION, fields),
+            Exhibit("overview_losses", LOSSES_CAPTION, means),
         ]
-
-
-def fields_table(fields: pd.DataFrame) -> pd.DataFrame:
-    """Returns one row a shape and recipe, over the seeds."""
-    return over_seeds(
-        fields,
-        ("shape", "recipe"),
-        lambda own: {
-            "reach": own["reach"].mean(),
-            **interval_columns("lap", own["lap"], SHARE),
-            **fraction_columns("fields followed", followed(own).tolist()),
-            **interval_columns("RMS, U", own["rms_u"]),
-            **interval_columns("largest, U", own["max_u"]),
-            **interval_columns("least |m|", own["speed_min"]),
-            **interval_columns("largest |m|", own["speed_max"]),
-            **interval_columns("training, s CPU", own["train_cpu_s"]),
-        },
-    )
-
-
-def losses_table(fields: pd.DataFrame) -> pd.DataFrame:
-    """Returns one row a shape, recipe and loss, each figure the mean over the seeds."""
-    each = pd.DataFrame(
-        {
-            "shape": field["shape"],
-            "recipe": field["recipe"],
-            "loss": term,
-            "first tenth": loss["begin"],
-            "last tenth": loss["end"],
-            "change, %": 100 * loss["change"],
-            "highest later, %": 100 * loss["peak"],
-        }
-        for field in fields.to_dict("records")
-        for term, loss in field["losses"].items()
-    )
-    return each.groupby(["shape", "recipe", "loss"], sort=False).mean().reset_index()
 
 
 def followed(fields: pd.DataFrame) -> "pd.Series[bool]":
@@ -265,15 +252,12 @@ def overview_figure(folders: Mapping[str, Path]) -> Figure:
             plotting.plane_axes(each, plotting.UNIT, f"{recipe}: {title}")
         plotting.plot_losses(losses, history[history["stage"] == "tangent"])
         losses.set_title(f"{recipe}: losses of v")
-        _draw_agents(plane, np.load(folder / AGENTS))
+        agents = np.load(folder / AGENTS).transpose(1, 0, 2)
+        for agent, color in zip(agents, cycle(AGENT_COLORS), strict=False):
+            plane.plot(*agent.T, color=color, linewidth=1.5)
+            # A start may lie on the border.
+            plane.plot(*agent[0], "o", color=color, markersize=6, clip_on=False)
     return figure
-
-
-def _draw_agents(axes: Axes, agents: FloatArray) -> None:
-    for agent, color in zip(agents.transpose(1, 0, 2), cycle(AGENT_COLORS), strict=False):
-        axes.plot(agent[:, 0], agent[:, 1], color=color, linewidth=1.5)
-        # A start may lie on the border.
-        axes.plot(*agent[0], "o", color=color, markersize=6, clip_on=False)
 
 
 SHOWN, RESTED, TRACKED = "fields that show it", "trainings at rest", "fields followed"
@@ -308,7 +292,7 @@ def _measure_tracking(rows: Rows) -> Figures:
     share = fraction_interval(count.good, count.all)
     return {
         TRACKED: count,
-        "share of the fields": Mean(*share, percent=True),
+        "share of the fields": Mean(*share),
         "starts that lap in the worst field": Share(fields["lap"].min()),
     }
 

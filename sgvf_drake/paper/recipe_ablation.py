@@ -13,14 +13,9 @@ from functools import partial
 
 import pandas as pd
 
-from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.paper.ablation import (
     FIELDS,
     FOLLOWED,
-    NO_FEATURES,
-    NO_HINT,
-    NO_PROJECTION,
-    NOISY_TARGET,
     SPEED_ERROR,
     Ablation,
     AblationTrial,
@@ -28,7 +23,8 @@ from sgvf_drake.paper.ablation import (
     effect_of,
 )
 from sgvf_drake.paper.ablation_figures import MeasurePanel
-from sgvf_drake.paper.claims import Claim, Figures, Rows, Verdict
+from sgvf_drake.paper.claims import Claim, Count, Figures, Rows, Verdict
+from sgvf_drake.paper.experiment import check_names
 from sgvf_drake.paper.intervals import POSITIVE, SHARE
 
 COSINE = (-1.0, 1.0)
@@ -45,18 +41,20 @@ TABLES = (
         "following",
         "How the fields are followed from a grid of starts, without restarts; means with 95 % "
         "intervals over the seeds.",
-        means={
+        {
+            "followable seeds": ("following.followable", Count),
             **FOLLOWED,
             "max, U": ("following.max_u", POSITIVE),
             "| |m| - 1 | on the path, max": (SPEED_ERROR, POSITIVE),
         },
-        counts={"followable seeds": "following.followable"},
     ),
     SeedsTable(
         "inside",
         "The same fields from within: the learned score against the exact one near the path, "
         "orthogonality, and the sampled Lyapunov checks.",
-        means={
+        {
+            "checks hold": ("check.holds", Count),
+            "self-check passes": ("passed", Count),
             "cos of the score": ("score.score_cosine", COSINE),
             "its 5th percentile": ("score.score_cosine_p5", COSINE),
             "its bias, U": ("score.score_bias_u", POSITIVE),
@@ -64,15 +62,14 @@ TABLES = (
             "smallest |m| in the tube": ("check.slowest", POSITIVE),
             "V falls, part of the box": ("check.falls", SHARE),
         },
-        counts={"checks hold": "check.holds", "self-check passes": "passed"},
     ),
 )
 STATEMENTS = {
-    NOISY_TARGET: "The exact score of the waypoints as the target, in place of Algorithm 1's "
+    "noisy-target": "The exact score of the waypoints as the target, in place of Algorithm 1's "
     "noisy one, is worth its place.",
-    NO_FEATURES: "Random Fourier features are worth their place.",
-    NO_HINT: "The orientation hint is worth its place.",
-    NO_PROJECTION: "Taking the score's part along the tangent out, near the path, is worth "
+    "no-features": "Random Fourier features are worth their place.",
+    "no-hint": "The orientation hint is worth its place.",
+    "no-projection": "Taking the score's part along the tangent out, near the path, is worth "
     "its place.",
 }
 """What is claimed of each part, by the variant that lacks it."""
@@ -111,12 +108,7 @@ class RecipeAblation(Ablation):
         Raises:
             ConfigurationError: If there is no such variant.
         """
-        for variant in self.variants:
-            if variant not in STATEMENTS:
-                raise ConfigurationError(
-                    f"there is no variant {variant!r} to compare (they are "
-                    f"{', '.join(STATEMENTS)})"
-                )
+        check_names("variant", self.variants, STATEMENTS)
         return [
             self.trial(
                 recipe="robust",
@@ -190,9 +182,9 @@ def changes_of(fields: pd.DataFrame, variant: str) -> list[tuple[Measure, bool, 
     for measure in MEASURES:
         for shape, own in fields.groupby("shape", sort=False):
             effect = effect_of(own, measure.column, variant, comparisons=comparisons)
-            matters = abs(effect.change[0]) >= measure.least
-            if matters and (effect.rises or effect.falls):
-                is_worse = effect.rises == (measure.worse > 0)
+            is_sure = effect.rises() or effect.falls()
+            if is_sure and abs(effect.change[0]) >= measure.least:
+                is_worse = effect.rises() == (measure.worse > 0)
                 found.append((measure, is_worse, f"{measure.name} on {shape} {effect}"))
     return found
 

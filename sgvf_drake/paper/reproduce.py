@@ -11,16 +11,12 @@ import time
 import traceback
 from typing import Any
 
-from sgvf_drake.exceptions import ConfigurationError, OutputExistsError
+from sgvf_drake.exceptions import OutputExistsError
 from sgvf_drake.experiments.provenance import provenance
-from sgvf_drake.experiments.results import (
-    SUMMARY,
-    check_results,
-    result_folder,
-    write_summary,
-)
+from sgvf_drake.experiments.results import SUMMARY, check_results, result_folder, write_summary
 from sgvf_drake.experiments.workbench import Workbench
 from sgvf_drake.paper.claims import Verdict
+from sgvf_drake.paper.experiment import check_names
 from sgvf_drake.paper.report import build_page
 from sgvf_drake.paper.running import (
     SCENARIO_FILE,
@@ -87,7 +83,9 @@ def run_reproduce(
     """
     begin = time.perf_counter()
     out = Path(out)
-    scenarios = _load(only, quick=quick)
+    check_names("scenario", only, scenario_names())
+    overrides = [QUICK] if quick else []
+    scenarios = {name: load_scenario(name, overrides) for name in scenario_names()}
     chosen = [name for name in scenarios if name in only or not only]
     # Refuses the number of jobs before there is anything in the folder.
     Workbench(out / TRIALS, jobs)
@@ -100,43 +98,33 @@ def run_reproduce(
         if entries[name]["digest"] is None:
             check_results(out / name, (SUMMARY, SCENARIO_FILE), overwrite=overwrite)
     summary = _save(out, entries, quick, begin)
+    options = {"jobs": jobs, "overwrite": overwrite}
     for name in chosen:
-        options = {"jobs": jobs, "overwrite": overwrite}
-        failure = _failure(out, name, scenarios[name], progress, **options)
-        entries[name] = (
-            entries[name] | failure if failure else _entry(out / name, scenarios[name], {})
+        entries[name] = _run(
+            out / name, scenarios[name], entries[name], progress, trials=out / TRIALS, **options
         )
         summary = _save(out, entries, quick, begin)
     return summary
 
 
-def _failure(
-    out: Path, name: str, scenario: Scenario, progress: Progress, **options: Any
+def _run(
+    folder: Path, scenario: Scenario, entry: Entry, progress: Progress, **options: Any
 ) -> Entry:
-    """Runs a scenario; returns why it has failed, or nothing."""
+    """Runs a scenario; returns its entry then, with the error if it has failed."""
 
     def report(stage: str, done: float, total: float) -> None:
-        progress(f"{name}: {stage}", done, total)
+        progress(f"{folder.name}: {stage}", done, total)
 
     try:
-        run_scenario(
-            scenario, out / name, trials=out / TRIALS, resume=True, progress=report, **options
-        )
+        run_scenario(scenario, folder, resume=True, progress=report, **options)
     # Whatever it does wrong, the others are to run.
     except Exception as error:
-        text = f"{type(error).__name__}: {error}"
-        return {"status": Status.FAILED, "error": text, "traceback": traceback.format_exc()}
-    return {}
-
-
-def _load(only: Sequence[str], *, quick: bool) -> dict[str, Scenario]:
-    names = scenario_names()
-    unknown = [name for name in only if name not in names]
-    if unknown:
-        raise ConfigurationError(
-            f"there is no scenario {unknown[0]!r} (they are {', '.join(names)})"
-        )
-    return {name: load_scenario(name, [QUICK] if quick else []) for name in names}
+        return entry | {
+            "status": Status.FAILED,
+            "error": f"{type(error).__name__}: {error}",
+            "traceback": traceback.format_exc(),
+        }
+    return _entry(folder, scenario, {})
 
 
 def _earlier(

@@ -1,13 +1,11 @@
 """Runs a scenario into a folder: tables, logs, figures, and what they come from."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 import json
 from os import PathLike
 from pathlib import Path
 import time
 from typing import Any
-
-from matplotlib.figure import Figure
 
 import sgvf_drake
 from sgvf_drake.experiments.measured_code import code_digest
@@ -17,11 +15,10 @@ from sgvf_drake.experiments.results import (
     check_results,
     plain,
     result_folder,
-    save_figure,
     write_summary,
 )
 from sgvf_drake.experiments.workbench import Workbench
-from sgvf_drake.paper.experiment import Exhibit, Outcome, save_rows
+from sgvf_drake.paper.experiment import save_rows
 from sgvf_drake.paper.scenario import Scenario
 from sgvf_drake.progress import Progress, no_progress
 
@@ -65,27 +62,37 @@ def run_scenario(
     out = Path(out)
     _, earlier = _stored(out)
     own = earlier if resume else []
-    check_results(out, _without([SUMMARY, SCENARIO_FILE], own), overwrite=overwrite)
+    first = [name for name in (SUMMARY, SCENARIO_FILE) if name not in own]
+    check_results(out, first, overwrite=overwrite)
     begin = time.perf_counter()
     # Before the work: code that is edited meanwhile has no part in it.
     origin = _origin(scenario)
     bench = Workbench(out / TRIALS if trials is None else trials, jobs, progress)
-    outcome = scenario.experiment.run(bench)
+    experiment = scenario.experiment
+    rows = experiment.measure(bench)
+    exhibits = [*experiment.figures(rows), *experiment.tables(rows)]
+    logs = experiment.logs(rows)
     summary = {
         **origin,
-        "seeds": scenario.experiment.seeds,
-        "exhibits": [_entry(exhibit) for exhibit in outcome.exhibits],
-        "logs": [f"{name}.parquet" for name in outcome.logs],
-        "claims": [vars(claim) for claim in outcome.claims],
-        "figures": outcome.figures,
+        "seeds": experiment.seeds,
+        "exhibits": [{"file": one.file, "caption": one.caption} for one in exhibits],
+        "logs": [f"{name}.parquet" for name in logs],
+        "claims": [vars(finding) for finding in experiment.findings(rows)],
+        # All numbers are in tables and claims.
+        "figures": {},
         "trial_s": bench.trial_s,
         "wall_s": time.perf_counter() - begin,
         **provenance(),
     }
     names = _result_names(summary)
-    check_results(out, _without(names, own), overwrite=overwrite)
+    foreign = [name for name in names if name not in own]
+    check_results(out, foreign, overwrite=overwrite)
     with result_folder(out, [*names, *earlier], overwrite=overwrite or resume) as folder:
-        _write(outcome, folder)
+        for exhibit in exhibits:
+            exhibit.save(folder)
+        for name, log in logs.items():
+            log.to_parquet(folder / f"{name}.parquet", index=False)
+        save_rows(rows, folder / ROWS_FILE)
         (folder / SCENARIO_FILE).write_text(scenario.to_yaml(), encoding="utf-8")
         write_summary(folder, summary)
     return summary
@@ -108,11 +115,6 @@ def _origin(scenario: Scenario) -> dict[str, Any]:
     return {**scenario.summary(), "version": sgvf_drake.__version__, "code": code_digest(kind)}
 
 
-def _entry(exhibit: Exhibit) -> dict[str, str]:
-    suffix = "png" if isinstance(exhibit.content, Figure) else "csv"
-    return {"file": f"{exhibit.name}.{suffix}", "caption": exhibit.caption}
-
-
 def _stored(out: Path) -> tuple[dict[str, Any], list[str]]:
     """The summary of an earlier run in a folder and its files there; empty if there is none."""
     try:
@@ -127,19 +129,3 @@ def _stored(out: Path) -> tuple[dict[str, Any], list[str]]:
 def _result_names(summary: Mapping[str, Any]) -> list[str]:
     exhibits = [entry["file"] for entry in summary["exhibits"]]
     return [SUMMARY, SCENARIO_FILE, ROWS_FILE, *exhibits, *summary["logs"]]
-
-
-def _without(names: Sequence[str], own: Sequence[str]) -> list[str]:
-    return [name for name in names if name not in own]
-
-
-def _write(outcome: Outcome, folder: Path) -> None:
-    for exhibit in outcome.exhibits:
-        path = folder / _entry(exhibit)["file"]
-        if isinstance(exhibit.content, Figure):
-            save_figure(exhibit.content, path)
-        else:
-            exhibit.content.to_csv(path, index=False)
-    for name, log in outcome.logs.items():
-        log.to_parquet(folder / f"{name}.parquet", index=False)
-    save_rows(outcome.rows, folder / ROWS_FILE)

@@ -129,15 +129,12 @@ def load_scenario(
             )
     for setting in settings:
         loaded = _with_setting(loaded, setting)
-    _check_seeds(file, loaded.experiment.seeds)
-    return loaded
-
-
-def _check_seeds(file: Path, seeds: Sequence[int]) -> None:
+    seeds = loaded.experiment.seeds
     if not seeds or len(set(seeds)) < len(seeds) or min(seeds) < 0:
         raise ConfigurationError(
             f"{file}: seeds must be different numbers from 0 on, at least one, not {seeds}"
         )
+    return loaded
 
 
 def _find(scenario: str | Path) -> Path:

@@ -22,8 +22,8 @@ from sgvf_drake.experiments.workbench import Row, Workbench
 from sgvf_drake.fields import FloatArray, GaussianMixture, ScoreNetwork
 from sgvf_drake.paper.claims import Claim, Figures, Rows, Share, Span, Verdict
 from sgvf_drake.paper.experiment import Exhibit, Experiment, run_trials
-from sgvf_drake.paper.intervals import interval_columns
-from sgvf_drake.paper.moments import CHUNK, SQUASHED, Moments, collect, make_probes
+from sgvf_drake.paper.intervals import interval_columns, over_seeds
+from sgvf_drake.paper.moments import CHUNK, SQUASHED, collect, make_probes
 from sgvf_drake.paper.training import trained
 
 SCORES = "scores"
@@ -133,46 +133,44 @@ class SteinIdentity(Experiment):
             for recipe in RECIPE_NAMES
             if recipe in self.recipes
         ]
-        return [*EXACT_CLAIMS, *learned, *SQUASHED_CLAIMS]
+        return [*CLAIMS[:2], *learned, *CLAIMS[2:]]
 
     def tables(self, rows: Rows) -> Sequence[Exhibit]:
         found = findings(rows)
         scores = pd.DataFrame(
             {
-                "waypoints": one["density"],
-                "score": one["score"],
-                **interval_columns(
-                    "residual, %", 100 * (one["residuals"] ** 2).mean(axis=1) ** 0.5
-                ),
+                **{"waypoints": one["density"], "score": one["score"]},
+                **interval_columns("residual, %", 100 * _rms(one["residuals"], axis=1)),
                 "largest entry, std. errors": one["z"],
                 **interval_columns("E[S], %", 100 * one["mean"]),
                 **interval_columns("E[S log p], %", 100 * one["log"]),
                 "error of the score, %": 100 * one["score_error"],
             }
-            for one in found
+            for one in found.to_dict("records")
         )
-        exact, probes = found[0], rows[SCORES]["probes"].iloc[0]
+        even = _even(found)
+        exact, probes = even.iloc[0], pd.DataFrame(rows[SCORES]["probes"].iloc[0])
         fields = pd.DataFrame(
             {
-                "test field": [probe["form"] for probe in probes],
-                "radius, U": [probe["radius"] for probe in probes],
+                "test field": probes["form"],
+                "radius, U": probes["radius"],
                 "identity, %": 100 * exact["signals"].mean(axis=0),
                 "std. error, %": 100 * exact["errors"].mean(axis=0),
+                **{
+                    f"{score}, %": 100 * residuals.mean(axis=0)
+                    for score, residuals in zip(even["score"], even["residuals"], strict=True)
+                },
             }
         )
-        for one in _even(found):
-            fields[f"{one['score']}, %"] = 100 * one["residuals"].mean(axis=0)
         return [
             Exhibit("stein_scores", SCORES_CAPTION, scores),
             Exhibit("stein_test_fields", PROBES_CAPTION, fields),
         ]
 
     def figures(self, rows: Rows) -> Sequence[Exhibit]:
-        found = _even(findings(rows))
         cloud, _ = make_cloud(self.cloud, SAMPLING, self.seeds[0])
-        figure = stein_figure(
-            cloud.normalize(cloud.points), rows[SCORES]["probes"].iloc[0], found
-        )
+        probes = rows[SCORES]["probes"].iloc[0]
+        figure = stein_figure(cloud.normalize(cloud.points), probes, _even(findings(rows)))
         return [Exhibit("stein", FIGURE_CAPTION, figure)]
 
 
@@ -197,25 +195,17 @@ def measure_stein(trial: SteinTrial, folder: Path) -> Row:
         score = learned.score_model
     probes = make_probes(mixture.points)
     moments = collect(score, mixture, probes, trial.draws, trial.seed)
-    return {
-        "probes": [vars(probe) for probe in probes],
-        "found": found_of(trial.score, moments),
-    }
-
-
-def found_of(score: str, moments: Moments) -> Row:
-    """Returns what the moments say of a score, by its name; see `measure_stein`."""
-    found = {RECIPE_NAMES.get(score, score): moments.departures()}
-    if score == EXACT:
+    found = {RECIPE_NAMES.get(trial.score, trial.score): moments.departures()}
+    if trial.score == EXACT:
         found[SQUASHED_NAME] = moments.departures(SQUASHED)
         found[RESCALED_NAME] = moments.departures(SQUASHED, moments.best_scale())
-    return found
+    return {"probes": [vars(probe) for probe in probes], "found": found}
 
 
 # What the seeds say together.
 
 
-def findings(rows: Rows) -> list[Row]:
+def findings(rows: Rows) -> pd.DataFrame:
     """Returns what the seeds say of each score on each density, in the order of the trials.
 
     Returns:
@@ -230,39 +220,36 @@ def findings(rows: Rows) -> list[Row]:
         for trial in rows[SCORES].to_dict("records")
         for name, found in trial["found"].items()
     )
-    return [
-        {"density": density, "score": score, **_over_seeds(own)}
-        for (density, score), own in table.groupby(["density", "score"], sort=False)
-    ]
+    return over_seeds(table, ("density", "score"), _over_seeds)
+
+
+def _rms(values: FloatArray, axis: int | None = None) -> FloatArray:
+    return np.sqrt((values**2).mean(axis=axis))
 
 
 def _over_seeds(own: pd.DataFrame) -> Row:
     residuals, errors, signals, curves = (
         np.array(own[name].tolist()) for name in ("residuals", "errors", "signals", "curve")
     )
-    draws, curve = np.array(own["draws"].iloc[0]), np.sqrt((curves**2).mean(axis=0))
+    draws, curve = np.array(own["draws"].iloc[0]), _rms(curves, axis=0)
     # The square of a mean of draws exceeds that of the expectation by the square of its
     # standard error on average.
     square = max(float((residuals**2 - errors**2).mean()), 0.0)
     return {
-        "residuals": residuals,
-        "errors": errors,
-        "signals": signals,
-        "mean": own["mean"],
-        "log": own["log"],
+        **{"residuals": residuals, "errors": errors, "signals": signals},
+        **{name: own[name].to_numpy() for name in ("mean", "log")},
         **{name: own[name].max() for name in ("z", "mean_z", "log_z")},
         **{name: own[name].mean() for name in ("score_error", "scale")},
-        "draws": draws,
-        "curve": curve,
+        **{"draws": draws, "curve": curve},
         # All draws are a single sample, whose residual says little of its root mean square.
         "slope": np.polyfit(np.log(draws[:-1]), np.log(curve[:-1]), 1)[0],
-        "share": np.sqrt(square / (signals**2).mean()),
+        "share": np.sqrt(square) / _rms(signals),
     }
 
 
-def _even(found: list[Row]) -> list[Row]:
+def _even(found: pd.DataFrame) -> pd.DataFrame:
     """Returns the findings on the first density, that of the even waypoints."""
-    return [one for one in found if one["density"] == found[0]["density"]]
+    return found[found["density"] == found["density"].iloc[0]]
 
 
 # Claims.
@@ -279,55 +266,57 @@ def z_limit(count: int) -> float:
     return float(stats.norm.isf(SIGNIFICANCE / 2 / count))
 
 
-def _of(rows: Rows, score: str) -> list[Row]:
-    return [one for one in findings(rows) if one["score"] == score]
+def _of(rows: Rows, score: str) -> pd.DataFrame:
+    found = findings(rows)
+    return found[found["score"] == score]
 
 
-def _limit(found: Sequence[Row]) -> float:
-    return z_limit(sum(one["residuals"].size * ENTRIES for one in found))
+def _limit(found: pd.DataFrame) -> float:
+    return z_limit(ENTRIES * sum(residuals.size for residuals in found["residuals"]))
 
 
 def _identity(rows: Rows) -> Figures:
     exact = _of(rows, EXACT)
     return {
-        "entries": sum(one["residuals"].size * ENTRIES for one in exact),
-        Z: float(max(one["z"] for one in exact)),
+        "entries": ENTRIES * sum(residuals.size for residuals in exact["residuals"]),
+        Z: float(exact["z"].max()),
         "limit": _limit(exact),
-        "power of the draws": Span.of(one["slope"] for one in exact),
+        "power of the draws": Span.of(exact["slope"]),
     }
 
 
 def _log_density(rows: Rows) -> Figures:
     exact = _of(rows, EXACT)
     return {
-        Z: float(max(one[name] for one in exact for name in ("log_z", "mean_z"))),
+        Z: float(exact[["log_z", "mean_z"]].max().max()),
         # Two coordinates each of E[S log p] and E[S].
-        "limit": z_limit(sum(4 * len(one["log"]) for one in exact)),
-        "E[S log p] at most, %": float(100 * max(one["log"].max() for one in exact)),
+        "limit": z_limit(4 * sum(map(len, exact["log"]))),
+        "E[S log p] at most, %": float(100 * exact["log"].map(max).max()),
     }
 
 
 def _learned(rows: Rows, recipe: str) -> Figures:
-    learned = _of(rows, RECIPE_NAMES[recipe])[0]
+    learned = _of(rows, RECIPE_NAMES[recipe])
+    (one,) = learned.to_dict("records")
     return {
-        SHARE_LEFT: Share(learned["share"]),
-        Z: float(learned["z"]),
-        "limit": _limit([learned]),
-        "E[S], %": float(100 * learned["mean"].mean()),
-        "error of the score": Share(learned["score_error"]),
+        SHARE_LEFT: Share(one["share"]),
+        Z: float(one["z"]),
+        "limit": _limit(learned),
+        "E[S], %": float(100 * one["mean"].mean()),
+        "error of the score": Share(one["score_error"]),
     }
 
 
 def _squashed(rows: Rows) -> Figures:
     squashed, rescaled = _of(rows, SQUASHED_NAME), _of(rows, RESCALED_NAME)
-    figures = {
-        SHARE_LEFT: Share(squashed[0]["share"]),
-        Z: float(min(one["z"] for one in squashed)),
+    figures: dict[str, Any] = {
+        SHARE_LEFT: Share(squashed["share"].iloc[0]),
+        Z: float(squashed["z"].min()),
         "limit": _limit(squashed),
-        "best factor": float(rescaled[0]["scale"]),
+        "best factor": float(rescaled["scale"].iloc[0]),
         "limit after it": _limit(rescaled),
     }
-    for one in rescaled:
+    for one in rescaled.to_dict("records"):
         figures[f"{Z}, after it on {one['density']}"] = float(one["z"])
         figures[f"residual, %, after it on {one['density']}"] = float(100 * one["share"])
     return figures
@@ -335,11 +324,11 @@ def _squashed(rows: Rows) -> Figures:
 
 def _squashed_mean(rows: Rows) -> Figures:
     squashed = _of(rows, SQUASHED_NAME)
-    strongest = max(squashed, key=lambda one: float(one["mean_z"]))
+    strongest = squashed.nlargest(1, "mean_z").iloc[0]
     return {
-        "density": str(strongest["density"]),
+        "density": strongest["density"],
         Z: float(strongest["mean_z"]),
-        "limit": z_limit(sum(2 * len(one["mean"]) for one in squashed)),
+        "limit": z_limit(2 * sum(map(len, squashed["mean"]))),
         "mean, %": float(100 * strongest["mean"].mean()),
     }
 
@@ -353,7 +342,7 @@ def _falls(found: Mapping[str, Any]) -> bool:
     return all(abs(slope - SLOPE) <= SLOPE_TOLERANCE for slope in (slopes.low, slopes.high))
 
 
-EXACT_CLAIMS = (
+CLAIMS = (
     Claim(
         "stein-identity",
         SECTION,
@@ -368,8 +357,6 @@ EXACT_CLAIMS = (
         _log_density,
         lambda found: Verdict.when(_keeps(found)),
     ),
-)
-SQUASHED_CLAIMS = (
     Claim(
         "stein-squashed-identity",
         NORMALISED,
@@ -390,7 +377,7 @@ SQUASHED_CLAIMS = (
 # The figure.
 
 
-def stein_figure(points: FloatArray, probes: Sequence[Row], found: Sequence[Row]) -> Figure:
+def stein_figure(points: FloatArray, probes: Sequence[Row], found: pd.DataFrame) -> Figure:
     """Returns the test fields, the residual over the draws, and that of each test field.
 
     Args:
@@ -400,7 +387,7 @@ def stein_figure(points: FloatArray, probes: Sequence[Row], found: Sequence[Row]
     """
     figure, axes = plotting.new_figure(1, 3, 14, 4.6)
     # Not to scale: the squashed score is shown rescaled alone.
-    scores = [one for one in found if one["score"] != SQUASHED_NAME]
+    scores = found[found["score"] != SQUASHED_NAME].to_dict("records")
     _plot_supports(axes[0], points, probes)
     _plot_convergence(axes[1], scores)
     _plot_residuals(axes[2], probes, scores)
@@ -419,7 +406,7 @@ def _plot_supports(axes: Axes, points: FloatArray, probes: Sequence[Row]) -> Non
     plotting.plane_axes(axes, "U", "waypoints and supports of f")
 
 
-def _plot_convergence(axes: Axes, scores: Sequence[Row]) -> None:
+def _plot_convergence(axes: Axes, scores: Sequence[Mapping[Any, Any]]) -> None:
     for one, (color, marker) in zip(scores, STYLES, strict=False):
         style = {"marker": marker, "markersize": 4, "color": color, "label": one["score"]}
         axes.plot(one["draws"], 100 * one["curve"], **style)
@@ -439,7 +426,9 @@ def _plot_convergence(axes: Axes, scores: Sequence[Row]) -> None:
     axes.grid(alpha=0.3)
 
 
-def _plot_residuals(axes: Axes, probes: Sequence[Row], scores: Sequence[Row]) -> None:
+def _plot_residuals(
+    axes: Axes, probes: Sequence[Row], scores: Sequence[Mapping[Any, Any]]
+) -> None:
     places = np.arange(len(probes))
     axes.barh(places, 100 * scores[0]["signals"].mean(axis=0), color="#d9d9d9", height=0.8)
     for one, (color, marker) in zip(scores, STYLES, strict=False):

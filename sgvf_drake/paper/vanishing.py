@@ -127,19 +127,17 @@ class ScoreVanishing(Experiment):
     seeds: list[int] = field(default_factory=lambda: [0, 1, 2])
 
     def measure(self, bench: Workbench) -> Rows:
-        cases = [
-            *((shape, "robust") for shape in self.shapes),
-            *((shape, "paper") for shape in self.paper_shapes),
-        ]
         learned = [
-            VanishingTrial(*case, seed, self.effort) for case in cases for seed in self.seeds
+            VanishingTrial(shape, recipe, seed, self.effort)
+            for recipe, shapes in (("robust", self.shapes), ("paper", self.paper_shapes))
+            for shape in shapes
+            for seed in self.seeds
         ]
-        around = [ParametricTrial(shape, self.parametric_points) for shape in self.shapes]
+        pieces = [ParametricTrial(shape, self.parametric_points) for shape in self.shapes]
+        stage = "fields with a parameter"
         return {
             FIELDS: run_trials(bench, measure_score_zeros, learned, "score zeros"),
-            PARAMETRIC: run_trials(
-                bench, measure_parametric, around, "fields with a parameter"
-            ),
+            PARAMETRIC: run_trials(bench, measure_parametric, pieces, stage),
         }
 
     def claims(self) -> Sequence[Claim]:
@@ -195,15 +193,12 @@ def measure_score_zeros(trial: VanishingTrial, folder: Path) -> Row:
         `singularity_summary`, the summary of `measure_vanishing`, the zeros, and the regions
         of the box off the path; see `region_indices`.
     """
-    settings: dict[str, dict[str, Any]] = {
-        # The tangent takes most of the time, and is not asked for.
-        "paper": {"tangent_iterations": 1},
-        # The zeros of whatever score comes out are asked for.
-        "robust": {"max_restarts": 0},
-    }
+    # The zeros of whatever score comes out are asked for; the paper's tangent, which takes
+    # most of the time, is not.
+    settings = {"robust": {"max_restarts": 0}, "paper": {"tangent_iterations": 1}}
     cloud, path = make_shape(trial.shape, seed=trial.seed)
-    own = settings[trial.recipe]
-    field = trained(cloud, trial.recipe, trial.seed, effort=trial.effort, **own).guiding_field
+    own: dict[str, Any] = {"effort": trial.effort, **settings[trial.recipe]}
+    field = trained(cloud, trial.recipe, trial.seed, **own).guiding_field
     found = find_singularities(field)
     vanishing = measure_vanishing(field, found, path)
     field.save(folder / FIELD)
@@ -503,22 +498,20 @@ def vanishing_figure(field: GuidingField, found: Singularities, around: pd.Serie
     The last is of the trial of the fields in one more dimension `around` the same shape.
     """
     figure = Figure(figsize=(12.5, 11.5), layout="constrained")
-    score = figure.add_subplot(2, 2, 1)
+    score, above = figure.add_subplot(2, 2, 1), figure.add_subplot(2, 2, 2)
+    surface, beyond = (figure.add_subplot(2, 2, place, projection="3d") for place in (3, 4))
     plotting.plot_field(score, ScoreField(field), found.box)
     marks: dict[str, Artist] = {
         "waypoints": plotting.plot_waypoints(score, field.cloud.points)[0]
     }
     marks |= plot_zeros(score, found.score)
-    plotting.plane_axes(
-        score, plotting.UNIT, f"(a) learned score, {len(found.score.zeros)} zeros"
-    )
-    above = figure.add_subplot(2, 2, 2)
+    title = f"(a) learned score, {len(found.score.zeros)} zeros"
+    plotting.plane_axes(score, plotting.UNIT, title)
     both = plot_density_map(above, field, found)[-2:]
     above.set_title("(b) log-density from above")
-    surface = figure.add_subplot(2, 2, 3, projection="3d")
     plot_density_surface(surface, field, found)
     surface.set_title("(c) log-density as a surface")
-    plot_helices(figure.add_subplot(2, 2, 4, projection="3d"), around)
+    plot_helices(beyond, around)
     names = [name for name in ("waypoints", *MARKS) if name in marks]
     handles = [*(marks[name] for name in names), *both]
     both_names = ("zeros of S in (b), (c)", "zeros of m in (b), (c)")
@@ -564,14 +557,8 @@ def places_figure(zeros: pd.DataFrame) -> Figure:
     )
     for index, color, marker, label in INDICES:
         own = zeros[zeros["index"] == index]
-        axes[1].scatter(
-            own["path_distance"],
-            own["guiding_norm"],
-            s=22,
-            color=color,
-            marker=marker,
-            label=label,
-        )
+        style: dict[str, Any] = {"s": 22, "color": color, "marker": marker, "label": label}
+        axes[1].scatter(own["path_distance"], own["guiding_norm"], **style)
     axes[1].set(
         xlabel="distance from the path [U]",
         ylabel="|m|",

@@ -39,6 +39,9 @@ MOST_ARMS = 8
 Arm = tuple[int, int]
 """An edge, and which of its ends: 0 for its start, 1 for its end."""
 
+Pairing = list[tuple[Arm, Arm]]
+"""Arms that are joined, two at a time."""
+
 
 @dataclass(eq=False)
 class Strand:
@@ -255,21 +258,25 @@ def _merge_overlaps(graph: Graph, sigma: float) -> None:
     merged = True
     while merged:
         merged = False
-        arms = graph.all_arms()
-        for k, link in sorted(graph.strands.items(), key=lambda item: item[1].length):
-            if link.length > LONGEST_OVERLAP * sigma:
+        for k, both in links_of_two(graph):
+            if graph.strands[k].length > LONGEST_OVERLAP * sigma:
                 break
-            if link.ends is None or link.ends[0] == link.ends[1]:
-                continue
-            outer = [[arm for arm in arms[node] if arm[0] != k] for node in link.ends]
-            if [len(side) for side in outer] != [2, 2]:
-                continue
-            (a, b), (c, d) = outer
-            pairings = ([(a, c), (b, d)], [(a, d), (b, c)])
-            if min(_worst_turn(graph, pairing, sigma) for pairing in pairings) < STRAIGHT_TURN:
+            if min(worst_turn(graph, pairing, sigma) for pairing in both) < STRAIGHT_TURN:
                 _contract(graph, k)
                 merged = True
                 break
+
+
+def links_of_two(graph: Graph) -> Iterator[tuple[int, list[Pairing]]]:
+    """The links of two triple nodes, the shortest first, and how their other arms pair."""
+    arms = graph.all_arms()
+    for k, link in sorted(graph.strands.items(), key=lambda item: item[1].length):
+        if link.ends is None or link.ends[0] == link.ends[1]:
+            continue
+        outer = [[arm for arm in arms[node] if arm[0] != k] for node in link.ends]
+        if [len(side) for side in outer] == [2, 2]:
+            (a, b), (c, d) = outer
+            yield k, [[(a, c), (b, d)], [(a, d), (b, c)]]
 
 
 def _contract(graph: Graph, link: int) -> None:
@@ -289,7 +296,7 @@ def _pair_arms(graph: Graph, sigma: float) -> None:
         if len(arms) % 2 or not 4 <= len(arms) <= MOST_ARMS:
             continue
         ranked = sorted(
-            ((_worst_turn(graph, pairing, sigma), pairing) for pairing in _pairings(arms)),
+            ((worst_turn(graph, pairing, sigma), pairing) for pairing in pairings(arms)),
             key=lambda item: item[0],
         )
         worst, best = ranked[0]
@@ -299,17 +306,19 @@ def _pair_arms(graph: Graph, sigma: float) -> None:
                 graph.through[a], graph.through[b] = b, a
 
 
-def _pairings(arms: Sequence[Arm]) -> Iterator[list[tuple[Arm, Arm]]]:
+def pairings(arms: Sequence[Arm]) -> Iterator[Pairing]:
+    """All ways to pair arms, an even number of them."""
     if not arms:
         yield []
         return
     first, *rest = arms
     for k, other in enumerate(rest):
-        for pairs in _pairings(rest[:k] + rest[k + 1 :]):
+        for pairs in pairings(rest[:k] + rest[k + 1 :]):
             yield [(first, other), *pairs]
 
 
-def _worst_turn(graph: Graph, pairing: Sequence[tuple[Arm, Arm]], sigma: float) -> float:
+def worst_turn(graph: Graph, pairing: Pairing, sigma: float) -> float:
+    """By how many degrees the arms of a pairing turn at most."""
     return max(_turn(graph, a, b, sigma) for a, b in pairing)
 
 

@@ -16,6 +16,7 @@ from sgvf_drake.paths.network import PathNetwork, Route
 from sgvf_drake.paths.polyline import signed_area
 from sgvf_drake.paths.recording import Recording
 from sgvf_drake.paths.reference import Piece, ReferencePath
+from sgvf_drake.paths.rows import lie_in_rows
 
 Direction = Literal["ccw", "cw", "reverse"]
 DIRECTIONS: tuple[Direction, ...] = get_args(Direction)
@@ -51,6 +52,7 @@ class Draft:
         )
         waypoints = self._cloud.normalize(self._cloud.points)
         foot = ReferencePath(tuple(course.line for course in self._courses)).project(waypoints)
+        self._foot = foot
         route = np.where(foot.distance < NEAR_ROUTE * self._sigma, foot.piece, -1)
         lines = [course.line for course in self._courses]
         self._recording = Recording(
@@ -60,6 +62,12 @@ class Draft:
             lengths=np.array([line.length for line in lines]),
             closed=np.array([line.closed for line in lines]),
         )
+
+    def lies_in_rows(self) -> bool:
+        """Whether the waypoints that lie about its paths are in rows along them."""
+        lines = [course.line for course in self._courses]
+        near = NEAR_ROUTE * self._sigma
+        return lie_in_rows(lines, self._recording.points, self._foot, near)
 
     def use_recording(self, closed: bool | None) -> None:
         """Joins what the recording joins, and cuts or closes paths as the user says."""

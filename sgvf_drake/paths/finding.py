@@ -23,6 +23,7 @@ from sgvf_drake.exceptions import ConfigurationError, PointCloudError
 from sgvf_drake.paths.assembly import Graph, Signature, assemble
 from sgvf_drake.paths.draft import Direction, Draft
 from sgvf_drake.paths.loops import Holes, find_holes
+from sgvf_drake.paths.meetings import strands_pass
 from sgvf_drake.paths.network import PathNetwork
 from sgvf_drake.paths.ridge import THINNING_CELL, find_ridge, thin
 from sgvf_drake.paths.skeleton import grow_skeleton
@@ -59,6 +60,10 @@ FEW_VOTES = 2
 LEAST_SHARE, LEAST_SHARE_ALONE = 0.18, 0.36
 """A topology is sure if this share of the scales shows it, and persistence has as many loops;
 or if this share shows it in space, where there is no second opinion."""
+
+REMEDY = "more waypoints would decide, or a scale to look at (sigma)"
+PASSES = ", or that they are passes of one path (passes)"
+"""What would decide where the points do not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,6 +136,8 @@ def find_paths(
         what = "one path of which they are passes" if passes else "path"
         raise PointCloudError(f"the waypoints show no {what} at any scale")
     draft = Draft(cloud, points, weights, chosen.graph, chosen.sigma)
+    if unsure is None and sigma is None and not passes and draft.lies_in_rows():
+        unsure = f"waypoints on both sides of a line lie in rows along it; {REMEDY}{PASSES}"
     draft.use_recording(closed)
     draft.give_directions(direction, start)
     return draft.network(unsure)
@@ -215,6 +222,8 @@ def _vote(
         return chosen, (
             f"only {seen} of {len(scales)} scales show these paths; {_remedy(taken)}"
         )
+    if strands_pass(chosen.graph, points, chosen.sigma):
+        return chosen, f"strands that meet may only pass each other; {_remedy(taken)}"
     rivals = [s for s, ks in pool.items() if s != taken and len(ks) >= len(pool[taken])]
     if rivals:
         return chosen, f"as many scales show {rivals[0]}; {_remedy(taken)}"
@@ -228,10 +237,7 @@ def _agrees(found: Signature, holes: Holes | None, scale: Scale) -> bool:
 
 def _remedy(found: Signature) -> str:
     """What would decide: in general, and for a bundle of passes."""
-    passes = found.pieces == 1 and not found.junctions
-    return "more waypoints would decide, or a scale to look at (sigma)" + (
-        ", or that they are passes of one path (passes)" if passes else ""
-    )
+    return REMEDY + (PASSES if found.pieces == 1 and not found.junctions else "")
 
 
 def _elected(votes: Mapping[Signature, Sequence[int]]) -> Signature:

@@ -235,6 +235,21 @@ def test_a_turn_is_commanded_through_the_port(tee, arms):
     np.testing.assert_allclose(flight.state[:2], LEFT, atol=0.05)
 
 
+def test_a_turn_off_the_last_edge_of_a_route_ends_it_on_the_commanded_edge(tee, arms):
+    left, right, below = arms["left"], arms["right"], arms["below"]
+    flight = flight_from_below(tee, text(below))
+    next_edge = flight.supervisor.GetInputPort("next_edge")
+    next_edge.FixValue(flight.own(flight.supervisor), [float(-right)])
+    flight.until(12.0)
+    assert edges_of(flight, tee.network) == [-right]
+    assert flight.mode == Mode.HOLD
+    np.testing.assert_allclose(flight.state[:2], RIGHT, atol=0.05)
+    # What is commanded at rest, by the port, is not flown: the route is over.
+    next_edge.FixValue(flight.own(flight.supervisor), [float(-left)])
+    flight.until(13.0)
+    assert flight.mode == Mode.HOLD
+
+
 def test_a_vehicle_that_had_to_hold_goes_on_where_it_was(tee, arms):
     flight = flight_from_below(tee, text(arms["below"], -arms["left"])).until(1.5)
     flight.set_age(0.5)
@@ -262,6 +277,30 @@ def test_a_tour_leads_from_piece_to_piece(tee_and_ring):
         for passage in passages(log[["x", "y"]].to_numpy()[:, None], field.network)[0]
     ]
     assert {abs(number) for number in own} == set(range(1, len(field.network.edges) + 1))
+
+
+def test_a_route_that_is_commanded_on_the_way_to_its_piece_is_flown_from_there(tee_and_ring):
+    field = tee_and_ring
+    branches = MakeBranches(field)
+    flight = Flight(field, (0.0, 0.0, 1.0), branches=branches, supervisor={"laps": 1e3})
+    flight.guidance.SetHeading(flight.own(flight.guidance), NORTH)
+    flight.until(0.5).want(1)
+    time = 0.5
+    while flight.mode == Mode.FOLLOW:
+        time += 0.1
+        assert time < 60.0
+        flight.until(time)
+    # The ring again, as an open route of one lap.
+    (ring,) = branches[1].course.edges
+    route = Itinerary.along([ring], field.network, closed=False)
+    flight.supervisor.SetRoute(flight.own(flight.supervisor), route)
+    flight.until(time + 0.02)
+    assert (flight.mode, flight.memory.branch, flight.memory.order) == (Mode.TRANSFER, 1, 1)
+    # An open route is entered near its start.
+    assert port(flight, "arc")[0] <= 0.1 * route.length
+    flight.until(time + 24.0)
+    assert flight.mode == Mode.HOLD
+    np.testing.assert_allclose(flight.state[:2], route.line.vertices[-1], atol=0.05)
 
 
 @pytest.mark.parametrize(

@@ -8,20 +8,13 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from sgvf_drake.paper.claims import Verdict
-from sgvf_drake.paper.report.pictures import embed, embed_thumbnail
+from sgvf_drake.paper.report.pictures import embed
 from sgvf_drake.paper.report.tables import duration_text, read_table
 from sgvf_drake.paper.running import SCENARIO_FILE, stored_summary
 
 TEMPLATE, STYLE = "report.html", "report.css"
 SYMBOLS = {Verdict.HOLDS: "holds", Verdict.PARTLY: "partly", Verdict.FAILS: "fails"}
 """What the style sheet and the symbols on the page call the verdicts."""
-
-WORDS = {
-    Verdict.HOLDS: ("holds", "hold"),
-    Verdict.PARTLY: ("holds in part", "hold in part"),
-    Verdict.FAILS: ("does not hold", "do not hold"),
-}
-"""What one claim does, and what several do."""
 
 
 def build_page(summary: Mapping[str, Any], folder: Path) -> str:
@@ -48,7 +41,6 @@ def build_page(summary: Mapping[str, Any], folder: Path) -> str:
         style=Markup(loader.get_source(environment, STYLE)[0]),
         sections=sections,
         symbols=SYMBOLS,
-        sentence=_sentence(summary),
         time=duration_text(summary["trial_s"]),
         wall=duration_text(summary["wall_s"]),
         summary=summary,
@@ -83,26 +75,7 @@ def _result(folder: Path, status: str) -> dict[str, Any]:
     return {
         "claims": summary["claims"],
         "exhibits": exhibits,
-        "thumbnail": embed_thumbnail(folder / pictures[0]) if pictures else None,
+        "thumbnail": embed(folder / pictures[0], thumbnail=True) if pictures else None,
         "facts": facts | ({"Commit": summary["commit"]} if summary["commit"] else {}),
         "scenario": (folder / SCENARIO_FILE).read_text(encoding="utf-8"),
     }
-
-
-def _sentence(summary: Mapping[str, Any]) -> str:
-    """The verdicts in words: "Of 9 claims put to the test in 2 scenarios, 7 hold ..."."""
-    counts = summary["counts"]
-    total = sum(counts.values())
-    if total == 0:
-        return "No claim has been put to the test yet."
-    parts = [
-        f"{counts[verdict]} {one if counts[verdict] == 1 else many}"
-        for verdict, (one, many) in WORDS.items()
-        if counts[verdict]
-    ]
-    tested = len({claim["scenario"] for claim in summary["claims"] if claim["of_paper"]})
-    last = f" and {parts.pop()}" if len(parts) > 1 else ""
-    return (
-        f"Of {total} claim{'' if total == 1 else 's'} put to the test in {tested} "
-        f"scenario{'' if tested == 1 else 's'}, {', '.join(parts)}{last}."
-    )

@@ -1,11 +1,10 @@
 """Pictures for a page that needs no other file: small, and as they were drawn."""
 
 import base64
-from collections.abc import Mapping
 from functools import lru_cache
 import io
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from PIL import Image
 
@@ -13,11 +12,6 @@ THUMBNAIL = (360, 240)
 """Pixels, at most."""
 EXACT_BYTES = 150_000
 """What a picture may have with every pixel as it is; beyond, it is compressed with loss."""
-# Of the encoder.  More effort takes longer and does not make figures smaller; at this quality
-# the loss is not seen.
-EXACT = {"lossless": True, "method": 1}
-CLOSE = {"quality": 90, "use_sharp_yuv": True}
-THUMB = {"quality": 80}
 
 
 class Embedded(NamedTuple):
@@ -28,42 +22,30 @@ class Embedded(NamedTuple):
     height: int
 
 
-def embed(path: Path) -> Embedded:
-    """Returns a picture in its full size, in about a third of the bytes of its PNG file."""
-    return _embedded_file(path.read_bytes())
-
-
-def embed_thumbnail(path: Path) -> Embedded:
-    """Returns a picture reduced to `THUMBNAIL`."""
-    picture = _opened(path.read_bytes())
-    picture.thumbnail(THUMBNAIL, Image.Resampling.LANCZOS)
-    return _embedded(picture, _encoded(picture, THUMB))
+def embed(path: Path, *, thumbnail: bool = False) -> Embedded:
+    """Returns a picture, in about a third of the bytes of its PNG file or as a thumbnail."""
+    return _embedded(path.read_bytes(), thumbnail)
 
 
 # The page is built after every scenario, and encoding its pictures takes most of the time.
 @lru_cache(maxsize=256)
-def _embedded_file(content: bytes) -> Embedded:
-    picture = _opened(content)
-    encoded = _encoded(picture, EXACT)
+def _embedded(content: bytes, thumbnail: bool) -> Embedded:
+    with Image.open(io.BytesIO(content)) as file:
+        picture = file.convert("RGB")
+    if thumbnail:
+        picture.thumbnail(THUMBNAIL, Image.Resampling.LANCZOS)
+        encoded = _encoded(picture, quality=80)
+    else:
+        # More effort takes longer and does not make figures smaller.
+        encoded = _encoded(picture, lossless=True, method=1)
     if len(encoded) > EXACT_BYTES:
-        encoded = min(encoded, _encoded(picture, CLOSE), key=len)
-    return _embedded(picture, encoded)
-
-
-def _embedded(picture: Image.Image, encoded: bytes) -> Embedded:
+        # At this quality the loss is not seen.
+        encoded = min(encoded, _encoded(picture, quality=90, use_sharp_yuv=True), key=len)
     text = base64.b64encode(encoded).decode("ascii")
     return Embedded(f"data:image/webp;base64,{text}", *picture.size)
 
 
-def _opened(content: bytes) -> Image.Image:
-    with Image.open(io.BytesIO(content)) as file:
-        picture = file.convert("RGBA")
-    # Where it is transparent, the page would show through, dark or light.
-    white = Image.new("RGBA", picture.size, "white")
-    return Image.alpha_composite(white, picture).convert("RGB")
-
-
-def _encoded(picture: Image.Image, options: Mapping[str, bool | int]) -> bytes:
+def _encoded(picture: Image.Image, **options: Any) -> bytes:
     stream = io.BytesIO()
     picture.save(stream, format="WEBP", **options)
     return stream.getvalue()

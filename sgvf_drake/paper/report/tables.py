@@ -44,32 +44,26 @@ def view_table(table: pd.DataFrame) -> Table:
     columns: list[tuple[str, str]] = []
     cells: list[list[str]] = []
     intervals = False
+    stems = [str(name).removesuffix(MEAN) for name in table if str(name).endswith(MEAN)]
+    whole = [stem for stem in stems if stem + LOW in table and stem + HIGH in table]
     for name in map(str, table.columns):
-        stem, what = _part(name, table)
-        if what == MEAN:
+        stem, kind = name.removesuffix(MEAN), ""
+        if name in [end for one in whole for end in (one + LOW, one + HIGH)]:
+            continue
+        if stem != name and stem in whole:
             parts = zip(table[name], table[stem + LOW], table[stem + HIGH], strict=True)
             texts = [interval_text(*map(float, values)) for values in parts]
             intervals |= any(text.endswith("]") for text in texts)
             kind = "number"
-        elif what is None:
-            texts = [cell_text(value) for value in table[name]]
-            kind = "prose" if any(len(text) > PROSE for text in texts) else ""
+        else:
+            stem, texts = name, [cell_text(value) for value in table[name]]
             if is_numeric_dtype(table[name]) and not is_bool_dtype(table[name]):
                 kind = "number"
-        else:
-            continue
+            elif any(len(text) > PROSE for text in texts):
+                kind = "prose"
         columns.append((stem, kind))
         cells.append(texts)
     return Table(columns, list(zip(*cells, strict=True)), intervals)
-
-
-def _part(name: str, table: pd.DataFrame) -> tuple[str, str | None]:
-    """The name of the quantity and which part of its interval a column is, if of one."""
-    for part in (MEAN, LOW, HIGH):
-        stem = name.removesuffix(part)
-        if stem != name and all(stem + each in table for each in (MEAN, LOW, HIGH)):
-            return stem, part
-    return name, None
 
 
 def cell_text(value: object) -> str:

@@ -9,6 +9,8 @@ import pandas as pd
 import pytest
 
 from systems import Mode, SensorParameters
+from tests.fields import exact_field as exact_field_at
+from tests.fields import linear_network
 from tests.helpers import circle, ink, names_in, summary_of
 
 # The circles have radii of 2 and 4 units of the waypoints; in m a unit and m/s.
@@ -94,6 +96,25 @@ def test_a_flight_leaves_a_page_and_can_be_watched_live(run, inputs, tmp_path, c
     assert names_in(out) == {*files, "summary.json"}
     assert "<html" in (out / "flight_1.html").read_text()
     assert summary_of(out)["reference"] == "file"
+
+
+@pytest.mark.parametrize(
+    ("height", "scale", "lowest"),
+    [(1.0, 1.0, None), (0.0, 1.0, "0"), (-5.0, 2.0, "-10"), (0.1, 1.0, None)],
+)
+def test_nothing_is_flown_at_the_ground_or_below_in_silence(
+    run, tmp_path, capsys, height, scale, lowest
+):
+    points = np.column_stack([circle(4.0, 60), np.full(60, height)])
+    turn = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
+    tangent = linear_network(turn, point=(0.0, 0.0, 0.0))
+    exact_field_at(points, tangent=tangent).save(tmp_path / "field.safetensors")
+    # It is refused after the warning, before anything flies.
+    options = ("--scale", scale, "--tube", tmp_path, "--out", tmp_path / "out")
+    assert run("fly", tmp_path / "field.safetensors", *options) == 2
+    warnings = [line for line in capsys.readouterr().err.splitlines() if "warning" in line]
+    expected = f"warning: the path goes down to z = {lowest} m; the ground is at 0"
+    assert warnings == ([] if lowest is None else [expected])
 
 
 BAD = {

@@ -1,11 +1,14 @@
 """What the tests of the paper's experiments share: rings, stored rows, drawn figures."""
 
+from types import SimpleNamespace
+
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 import numpy as np
 import pandas as pd
 import pytest
 
-from sgvf_drake.paper.experiment import FOLDER, load_rows, save_rows
+from sgvf_drake.experiments.workbench import Workbench
+from sgvf_drake.paper.experiment import load_rows, save_rows
 from tests.fields import exact_field
 
 HALF_EXTENT = 4.0
@@ -34,36 +37,28 @@ def ink(figure):
     return (np.asarray(canvas.buffer_rgba())[..., :3] < 230).any(axis=2).mean()
 
 
-@pytest.fixture
-def check_stored_rows(tmp_path):
-    """Checks that rows are enough for tables and claims after they were stored."""
+@pytest.fixture(scope="session")
+def run_kind():
+    """Runs an experiment, and checks what it left: pictures, and the same from stored rows."""
 
-    def check(kind, rows):
-        tables = {name: table.drop(columns=FOLDER) for name, table in rows.items()}
-        save_rows(tables, tmp_path / "rows.json")
-        again = load_rows(tmp_path / "rows.json")
+    def run(kind, folder):
+        rows = kind.measure(Workbench(folder))
+        found = SimpleNamespace(
+            rows=rows,
+            figures={one.name: one.content for one in kind.figures(rows)},
+            tables={one.name: one.content for one in kind.tables(rows)},
+            logs=kind.logs(rows),
+            verdicts={one.key: one.verdict for one in kind.findings(rows)},
+        )
+        for name, figure in found.figures.items():
+            assert 0.02 < ink(figure) < 0.9, name
+        save_rows(rows, folder / "rows.json")
+        again = load_rows(folder / "rows.json")
         assert kind.findings(again) == kind.findings(rows)
-        for now, before in zip(kind.tables(again), kind.tables(rows), strict=True):
-            pd.testing.assert_frame_equal(now.content, before.content, check_dtype=False)
+        for table in kind.tables(again):
+            pd.testing.assert_frame_equal(table.content, found.tables[table.name])
+        for name, log in kind.logs(again).items():
+            pd.testing.assert_frame_equal(log, found.logs[name])
+        return found
 
-    return check
-
-
-@pytest.fixture
-def check_outcome(tmp_path):
-    """Checks what a run of an experiment left: pictures, and the same from stored rows."""
-
-    def check(experiment, outcome):
-        save_rows(outcome.rows, tmp_path / "outcome.json")
-        rows = load_rows(tmp_path / "outcome.json")
-        figures = [e for e in outcome.exhibits if not isinstance(e.content, pd.DataFrame)]
-        for figure in figures:
-            assert 0.02 < ink(figure.content) < 0.9, figure.name
-        tables = experiment.tables(rows)
-        for before, after in zip(outcome.exhibits[len(figures) :], tables, strict=True):
-            pd.testing.assert_frame_equal(before.content, after.content)
-        assert experiment.findings(rows) == outcome.claims
-        for name, log in experiment.logs(rows).items():
-            pd.testing.assert_frame_equal(outcome.logs[name], log)
-
-    return check
+    return run

@@ -69,7 +69,7 @@ def test_pieces_are_judged_apart():
     first, second = directions(samples, vectors, 1.0)
     np.testing.assert_allclose(first.sources, [[-3.5, 0.0]], atol=SPACING)
     np.testing.assert_allclose(first.sinks, [[-0.5, 0.0]], atol=SPACING)
-    assert (first.has_conflict, second.has_conflict) == (True, False)
+    assert len(second.sources) == len(second.sinks) == 0
     row = direction_row([first, second])
     assert row["sources"] == row["sinks"] == row["conflicted"] == 0.5
     assert row["opposed"] == pytest.approx(0.5, abs=0.01)

@@ -8,8 +8,6 @@ import pytest
 
 from sgvf_drake import learning
 from sgvf_drake.clouds import PointCloud
-from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.experiments.workbench import Workbench
 from sgvf_drake.fields import GuidingField, Perceptron, RobustComposition, ScoreNetwork
 from sgvf_drake.paper.claims import Verdict
 from sgvf_drake.paper.corners import NETWORKS, POLYGONS, Corners, CornerTrial, polygon_cloud
@@ -261,12 +259,26 @@ def test_verdicts_follow_from_the_figures():
     assert (found["shallow-square"], found["hexagon-less"]) == (PARTLY, FAILS)
 
 
+def test_tables_tell_where_agents_stall_and_where_traps_sit():
+    trials = [planted_trial(corners, 0, {"shallow_4_stalled": 0.25}, []) for corners in (6, 4)]
+    places = zip((-0.3, -0.1, 0.2, None), (0.1, 0.0, -0.1, -0.2), strict=True)
+    trials[1]["shallow"]["traps"] = [
+        {"along": along, "outside": outside, "distance": 0.2, "score": 0.01}
+        for along, outside in places
+    ]
+    stalls, traps = (
+        each.content for each in Corners().tables({POLYGONS: pd.DataFrame(trials)})
+    )
+    assert stalls["angle, degrees"].tolist() == 3 * [90.0] + 3 * [120.0]
+    assert stalls["stalled, % mean"].tolist() == [25, 0, 0, 0, 0, 0]
+    assert stalls["near, of the path, %"].tolist() == 3 * [12.5] + 3 * [25.0]
+    assert traps["before / after / clash"].tolist() == ["2 / 1 / 1", *5 * ["0 / 0 / 0"]]
+    assert traps["traps"].tolist() == [4, 0, 0, 0, 0, 0]
+    assert traps["outside"].tolist() == [1, 0, 0, 0, 0, 0]
+    assert traps["distance, U"].iloc[0] == pytest.approx(0.2)
+
+
 # The whole of it.
-
-
-def test_square_and_hexagon_are_not_asked_for_twice(tmp_path):
-    with pytest.raises(ConfigurationError, match=r"not \[3, 6\]"):
-        Corners(angle_polygons=[3, 6]).run(Workbench(tmp_path))
 
 
 def planted_field(cloud, sink):
@@ -285,7 +297,7 @@ def planted_field(cloud, sink):
 
 
 def test_agents_on_fields_with_a_sink_near_a_corner_are_found_there(
-    monkeypatch, tmp_path, check_outcome
+    monkeypatch, run_kind, tmp_path
 ):
     # 0.3 U past the corner (4, 4), on the side that follows.
     sink = in_square(3.7, 4.0)
@@ -299,34 +311,22 @@ def test_agents_on_fields_with_a_sink_near_a_corner_are_found_there(
 
     monkeypatch.setattr(learning, "train", plant)
     kind = Corners([], num_points=80, starts=9, patience=0.5, effort=0.5, seeds=[0])
-    outcome = kind.run(Workbench(tmp_path))
+    found = run_kind(kind, tmp_path)
     shallow, deep, robust = asked[:3]
     assert (shallow.tangent_hidden, deep.tangent_hidden) == ((128,), (64, 64, 64, 64))
     assert shallow.score_iterations == deep.tangent_iterations == 5_000
     assert (robust.recipe, robust.score_iterations) == ("robust", 750)
     # Both tangents are learned around one score.
     assert [isinstance(score, ScoreNetwork) for score in scores[:3]] == [False, True, False]
-    assert [exhibit.name for exhibit in outcome.exhibits] == [
-        *("corners", "corners_near", "corner_angles", "corner_stalls", "corner_traps")
-    ]
-    stalls, traps = (exhibit.content for exhibit in outcome.exhibits[3:])
+    assert [*found.figures] == ["corners", "corners_near", "corner_angles"]
+    stalls, traps = found.tables["corner_stalls"], found.tables["corner_traps"]
     assert stalls["network"].tolist() == [*NETWORKS, *NETWORKS]
     assert stalls["angle, degrees"].tolist() == [90.0] * 3 + [120.0] * 3
     assert traps["before / after / clash"].tolist()[:3] == ["0 / 0 / 1"] * 3
-    square = outcome.logs["corner_fields"].iloc[:3]
+    square = found.logs["corner_fields"].iloc[:3]
     assert (square[["stalled", "stalled_near", "near"]] == 1).all(axis=None)
     assert (square[["lapped", "trapped_locally", "undecided"]] == 0).all(axis=None)
     assert (square["trapped"] == 0.25).all()
     for name in NETWORKS:
-        (trap,) = outcome.rows[POLYGONS].iloc[0][name]["traps"]
+        (trap,) = found.rows[POLYGONS].iloc[0][name]["traps"]
         assert trap["offset"] == pytest.approx(0.3, abs=0.02)
-    check_outcome(kind, outcome)
-
-
-@pytest.mark.full
-def test_the_kind_trains_its_fields(tmp_path, check_outcome):
-    kind = Corners([], starts=4, patience=1.0, effort=0.02, seeds=[0])
-    outcome = kind.run(Workbench(tmp_path))
-    fields = outcome.logs["corner_fields"]
-    assert (fields["stalled"] >= fields["stalled_near"]).all()
-    check_outcome(kind, outcome)

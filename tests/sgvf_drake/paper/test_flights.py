@@ -7,7 +7,6 @@ import pandas as pd
 import pytest
 
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.experiments.workbench import Workbench
 from sgvf_drake.paper import flights
 from sgvf_drake.paper.claims import Verdict
 from sgvf_drake.paper.flights import Flights, flights_table, motion_of, parts_table
@@ -53,50 +52,34 @@ def trained(monkeypatch, turning_field):
     monkeypatch.setattr("sgvf_drake.learning.train", lambda cloud, config: result)
 
 
-def test_the_kind_flies_and_draws(trained, tmp_path, check_stored_rows):
+def test_the_kind_flies_and_draws(trained, run_kind, tmp_path):
     # The inner ring alone; from ring to ring is flown by the tests of tours.
     kind = Flights(shapes=["concentric-flight"], tours=["1"], seeds=[0], paper_seeds=[])
-    rows = kind.measure(Workbench(tmp_path))
-    assert [each.name for each in kind.figures(rows)] == ["flight_concentric-flight_robust"]
-    parts, told = (table.content for table in kind.tables(rows))
+    found = run_kind(kind, tmp_path)
+    assert [*found.figures] == ["flight_concentric-flight_robust"]
+    parts, told = found.tables.values()
     (part,) = parts.to_dict("records")
     assert part["part"] == "piece 1"
     assert 2 < part["RMS, mm mean"] < 10
     assert told["outcome"].tolist() == ["completed"]
     # The least that a circle of 1 m at 0.45 m/s asks for.
     assert 0.45**2 < told["largest acceleration, m/s^2"][0] < 1.0
-    assert [claim.verdict for claim in kind.findings(rows)] == [Verdict.HOLDS, Verdict.HOLDS]
-    check_stored_rows(kind, rows)
+    assert set(found.verdicts.values()) == {Verdict.HOLDS}
 
 
-def test_lost_control_is_a_result(trained, tmp_path, monkeypatch, check_stored_rows):
+def test_lost_control_is_a_result(trained, monkeypatch, run_kind, tmp_path):
     def lost(*args, **options):
         raise ConfigurationError("the quadrotor lost control on the tour")
 
     monkeypatch.setattr(flights, "fly_tour", lost)
     kind = Flights(shapes=["concentric-flight"], tours=["1,2"], seeds=[], paper_seeds=[0])
-    rows = kind.measure(Workbench(tmp_path))
+    found = run_kind(kind, tmp_path)
     # There is nothing to draw, and no part to measure.
-    assert kind.figures(rows) == []
-    parts, told = (table.content for table in kind.tables(rows))
+    assert found.figures == {}
+    parts, told = found.tables.values()
     assert parts.empty
     assert told["outcome"].tolist() == ["lost control"]
-    assert [claim.verdict for claim in kind.findings(rows)] == [Verdict.FAILS, Verdict.FAILS]
-    check_stored_rows(kind, rows)
-
-
-@pytest.mark.parametrize(
-    ("tours", "said"),
-    [
-        (["1"], "there are 2 shapes to fly, but 1 tours"),
-        (["1,a", "1"], "as in '1,2,1', not '1,a'"),
-        (["1,2", "1,3"], "pieces from 1 to 2 as in '1,2,1', not '1,3'"),
-        (["0", "1"], "not '0'"),
-    ],
-)
-def test_a_tour_that_is_none_is_an_error(tours, said, tmp_path):
-    with pytest.raises(ConfigurationError, match=said):
-        Flights(tours=tours).run(Workbench(tmp_path))
+    assert set(found.verdicts.values()) == {Verdict.FAILS}
 
 
 def planted(seed=0, legs=2, **changes):
@@ -140,8 +123,11 @@ def test_a_flight_that_is_not_completed_is_told_of():
     branches, _ = Flights(paper_seeds=[]).findings({"flights": table})
     assert branches.evidence.startswith("flights that followed all of their pieces: 1 of 3; ")
     assert "the others: concentric-flight seed 7, 1 of 2 pieces, " in branches.evidence
-    told = flights_table(table)["outcome"].tolist()
-    assert told == ["completed", "1 of 2 pieces", "strayed"]
+    told = flights_table(table)
+    assert told["outcome"].tolist() == ["completed", "1 of 2 pieces", "strayed"]
+    assert told["RMS, mm"].tolist() == [5, 5, 60]
+    assert told["speed, m/s"].tolist() == 3 * ["0.40-0.50"]
+    assert told["force, %"].tolist() == 3 * ["21.7-26.1"]
 
 
 def test_parts_are_told_in_the_order_of_the_flight():

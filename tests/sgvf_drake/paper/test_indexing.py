@@ -8,7 +8,6 @@ import pandas as pd
 import pytest
 
 from sgvf_drake.clouds import PointCloud
-from sgvf_drake.experiments.workbench import Workbench
 from sgvf_drake.fields import load_field
 from sgvf_drake.learning import train
 from sgvf_drake.paper import baselines
@@ -16,7 +15,6 @@ from sgvf_drake.paper.claims import Verdict
 from sgvf_drake.paper.indexing import (
     CurveTrial,
     Indexing,
-    curve_points,
     field_changes,
     make_waypoints,
     measure_curve,
@@ -34,14 +32,6 @@ def test_ordered_and_shuffled_waypoints_are_the_same_points():
     np.testing.assert_array_equal(*(np.unique(c.points, axis=0) for c in (ordered, shuffled)))
     again, _ = make_waypoints(CurveTrial("shuffled", "lagrange", 8, 1))
     assert not np.array_equal(again.points, shuffled.points)
-
-
-@pytest.mark.parametrize("curve", ["fourier", "lagrange"])
-def test_curves_pass_their_waypoints_in_order(curve):
-    cloud = PointCloud(np.array([[0.0, 0.0], [3.0, 1.0], [2.0, 4.0], [-1.0, 2.0]]))
-    x = curve_points(curve, cloud)
-    quarters = x[np.linspace(0, len(x) - 1, 5).astype(int)]
-    np.testing.assert_allclose(quarters, cloud.points[[0, 1, 2, 3, 0]], atol=1e-9)
 
 
 def test_order_decides_the_curve(tmp_path):
@@ -79,7 +69,7 @@ def test_changes_of_fields_are_their_differences(exact_field, concentric):
     assert again["exact score, box"].max() < 1e-9
 
 
-def test_the_kind_runs_on_fields_that_are_hardly_trained(tmp_path, monkeypatch):
+def test_the_kind_runs_on_fields_that_are_hardly_trained(tmp_path, monkeypatch, run_kind):
     short = partial(replace, tangent_iterations=10, max_restarts=0)
     monkeypatch.setattr(
         "sgvf_drake.learning.train", lambda cloud, config: train(cloud, short(config))
@@ -87,14 +77,13 @@ def test_the_kind_runs_on_fields_that_are_hardly_trained(tmp_path, monkeypatch):
     # Nor is it of interest how far the agents would come.
     monkeypatch.setattr(baselines, "default_duration", lambda path, unit: 4 * unit)
     kind = Indexing(recipe="exact", thinning=[8], starts=4, seeds=[0])
-    outcome = kind.run(Workbench(tmp_path))
-    figure, curves, agents, order = (exhibit.content for exhibit in outcome.exhibits)
-    assert len(figure.axes) == 9
+    found = run_kind(kind, tmp_path)
+    assert len(found.figures["indexing"].axes) == 9
+    curves, agents, order = found.tables.values()
     assert len(curves) == 6
     assert agents["field"].tolist() == 3 * ["Fourier", "Lagrange"] + 3 * ["SGVF, exact"]
     assert order["change"].tolist() == ["another order", "another seed"]
-    # Stored rows tell as much as the run.
-    assert kind.findings(outcome.rows) == outcome.claims
+    assert set(found.rows["agents"]["seed"]) == {0}
     # One seed more is trained on the ordered waypoints, to compare with.
     fields = [load_field(file) for file in tmp_path.rglob("field.safetensors")]
     assert sorted(field.seed for field in fields) == [0, 0, 0, 1]

@@ -4,22 +4,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from sgvf_drake.experiments.workbench import Workbench
 from sgvf_drake.fields import load_field
 from sgvf_drake.paper import ablation
-from sgvf_drake.paper.ablation import (
-    COMPLETE,
-    FIELDS,
-    NO_DIRECTION,
-    NO_ORTHOGONALITY,
-    NO_UNIT,
-)
+from sgvf_drake.paper.ablation import COMPLETE, FIELDS
 from sgvf_drake.paper.claims import Verdict
 from sgvf_drake.paper.experiment import FOLDER
 from sgvf_drake.paper.loss_ablation import LossAblation
 
 NETWORKS = ("[2,128,2]", "[2,64,64,64,64,2]")
-OF_LOSSES = (COMPLETE, NO_UNIT, NO_ORTHOGONALITY, NO_DIRECTION)
+OF_LOSSES = (COMPLETE, "no-unit", "no-orthogonality", "no-direction")
 GOOD = {
     "following.followable": True,
     "following.lap": 1.0,
@@ -32,13 +25,13 @@ GOOD = {
     "tangent.sources": 0.0,
 }
 PAPER_SAYS = {
-    NO_UNIT: {"lengths.v_box_max": 0.3, "lengths.fading": 0.8, "lengths.leads_away": 0.9},
-    NO_ORTHOGONALITY: {"drift.drift_u": 1.0, "drift.outward": 0.3, "following.lap": 0.2},
-    NO_DIRECTION: {"tangent.conflicted": 1.0, "tangent.sources": 1.0},
+    "no-unit": {"lengths.v_box_max": 0.3, "lengths.fading": 0.8, "lengths.leads_away": 0.9},
+    "no-orthogonality": {"drift.drift_u": 1.0, "drift.outward": 0.3, "following.lap": 0.2},
+    "no-direction": {"tangent.conflicted": 1.0, "tangent.sources": 1.0},
 }
 OPPOSITE = {
-    NO_UNIT: {"lengths.v_box_max": 0.05, "lengths.fading": 3.0},
-    NO_ORTHOGONALITY: {"drift.drift_u": 0.05, "drift.outward": -0.3},
+    "no-unit": {"lengths.v_box_max": 0.05, "lengths.fading": 3.0},
+    "no-orthogonality": {"drift.drift_u": 0.05, "drift.outward": -0.3},
 }
 # A complete recipe whose tangent has conflicts, and does not fade.
 FAULTY = {"tangent.conflicted": 0.5, "tangent.sources": 0.5, "lengths.fading": 0.9}
@@ -74,7 +67,7 @@ HOLDS, PARTLY, FAILS = Verdict.HOLDS, Verdict.PARTLY, Verdict.FAILS
         (planted({}), FAILS, FAILS, FAILS),
         (planted(OPPOSITE), FAILS, FAILS, FAILS),
         (planted({**PAPER_SAYS, COMPLETE: FAULTY}), PARTLY, HOLDS, PARTLY),
-        (planted({**PAPER_SAYS, NO_DIRECTION: TWO_LINES}), HOLDS, HOLDS, PARTLY),
+        (planted({**PAPER_SAYS, "no-direction": TWO_LINES}), HOLDS, HOLDS, PARTLY),
         # One network alone is a part; a single seed shows nothing.
         (
             pd.concat([planted(PAPER_SAYS, 5, NETWORKS[:1]), planted({}, 5, NETWORKS[1:])]),
@@ -106,7 +99,7 @@ def test_complete_recipes_that_fail_are_said_and_effects_are_told():
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory):
+def small_run(tmp_path_factory, run_kind):
     """A small run, without the sublevel checks."""
     check = {"reason": "not checked"}
     check |= dict.fromkeys(("holds", "band", "zeros", "slowest", "falls", "cosine"), 0)
@@ -115,13 +108,11 @@ def run(tmp_path_factory):
     kind = LossAblation(networks=[[6, 6]], seeds=[0], **few)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(ablation, "checked_row", lambda *_: dict(check))
-        bench = Workbench(tmp_path_factory.mktemp("losses"))
-        return kind, kind.measure(bench)
+        return run_kind(kind, tmp_path_factory.mktemp("losses"))
 
 
-def test_the_variants_share_the_score_and_differ_by_one_weight(run):
-    _, rows = run
-    table = rows[FIELDS]
+def test_the_variants_share_the_score_and_differ_by_one_weight(small_run):
+    table = small_run.rows[FIELDS]
     assert table["variant"].tolist() == list(OF_LOSSES)
     folder = table[FOLDER][0]
     complete = load_field(folder / f"{COMPLETE}.safetensors")
@@ -135,17 +126,14 @@ def test_the_variants_share_the_score_and_differ_by_one_weight(run):
         assert after[f"{loss}_weight"] == 0
 
 
-def test_a_run_draws_and_tells(run, check_stored_rows):
-    kind, rows = run
-    fields, measures = kind.figures(rows)
-    assert [fields.name, measures.name] == ["fields", "measures"]
+def test_a_run_draws_and_tells(small_run):
+    assert [*small_run.figures] == ["fields", "measures"]
     # Four panels of arrows and waypoints, and where the four agents stopped.
-    for panel in fields.content.axes[:4]:
+    for panel in small_run.figures["fields"].axes[:4]:
         assert len(panel.collections) == 2
         assert len(panel.lines[0].get_xdata()) == 4
-    following, claims, checks = (table.content for table in kind.tables(rows))
+    following, claims, checks = small_run.tables.values()
     assert following["followable seeds"].tolist() == 4 * ["0 of 1"]
     assert claims["network"].unique().tolist() == ["[2,6,6,2]"]
     assert checks["first seed"].tolist() == 4 * ["not checked"]
-    assert list(kind.logs(rows)) == ["fields"]
-    check_stored_rows(kind, rows)
+    assert [*small_run.logs] == ["fields"]

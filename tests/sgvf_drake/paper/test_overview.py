@@ -6,7 +6,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from sgvf_drake.experiments.workbench import Workbench
 from sgvf_drake.paper.claims import Verdict
 from sgvf_drake.paper.experiment import FOLDER
 from sgvf_drake.paper.overview import (
@@ -15,8 +14,6 @@ from sgvf_drake.paper.overview import (
     Overview,
     converged,
     course,
-    fields_table,
-    losses_table,
     tangent_courses,
 )
 
@@ -26,7 +23,7 @@ NOISE = np.random.default_rng(0).lognormal(0.0, 0.6, (10, 10))[1:]
 
 
 @pytest.fixture(scope="module")
-def run(concentric, turning_field, tmp_path_factory):
+def small_run(concentric, turning_field, tmp_path_factory, run_kind):
     """A field in closed form as if it were trained, followed from 25 starts."""
     stages = (("score", "score"), ("tangent", "unit"))
     history = pd.concat(
@@ -38,11 +35,11 @@ def run(concentric, turning_field, tmp_path_factory):
     kind = Overview(shapes=["concentric-circles"], recipes=["robust"], starts=25, seeds=[0])
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("sgvf_drake.learning.train", lambda cloud, config: result)
-        return kind, kind.measure(Workbench(tmp_path_factory.mktemp("overview")))
+        return run_kind(kind, tmp_path_factory.mktemp("overview"))
 
 
-def test_a_field_is_followed_and_one_agent_a_piece_comes_from_far_away(run):
-    (row,) = run[1]["fields"].to_dict("records")
+def test_a_field_is_followed_and_one_agent_a_piece_comes_from_far_away(small_run):
+    (row,) = small_run.rows["fields"].to_dict("records")
     assert row["reach"] == row["lap"] == 1.0
     assert row["pieces"] == row["pieces_lapped"] == 2
     assert row["all_lap"]
@@ -60,18 +57,15 @@ def test_a_field_is_followed_and_one_agent_a_piece_comes_from_far_away(run):
     np.testing.assert_allclose(outer[steps:], 4.0, atol=0.05)
 
 
-def test_a_run_draws_and_tells(run, check_stored_rows):
-    kind, rows = run
-    (overview,) = kind.figures(rows)
-    assert overview.name == "overview_concentric-circles"
-    score, tangent, losses, plane = overview.content.axes
+def test_a_run_draws_and_tells(small_run):
+    assert [*small_run.figures] == ["overview_concentric-circles"]
+    score, tangent, losses, plane = small_run.figures["overview_concentric-circles"].axes
     assert [line.get_label() for line in losses.lines] == ["unit"]
     # The waypoints, and a line and a dot for each agent.
     assert len(score.lines) == len(tangent.lines) == 1
     assert len(plane.lines) == 5
-    assert [table.name for table in kind.tables(rows)] == ["overview_fields", "overview_losses"]
-    assert {found.verdict for found in kind.findings(rows)} == {Verdict.HOLDS}
-    check_stored_rows(kind, rows)
+    assert [*small_run.tables] == ["overview_fields", "overview_losses"]
+    assert set(small_run.verdicts.values()) == {Verdict.HOLDS}
 
 
 @pytest.mark.parametrize(
@@ -140,15 +134,18 @@ def test_a_verdict_follows_from_the_fields_of_its_recipe(rows, score, losses, tr
     assert not found["overview-score-robust"].of_paper
 
 
-def test_tables_are_over_the_seeds(run):
-    table = pd.concat([run[1]["fields"], run[1]["fields"].assign(all_lap=False, lap=0.5)])
-    (found,) = fields_table(table.assign(rms_u=[0.1, None])).to_dict("records")
-    assert (found["fields followed mean"], found["lap mean"]) == (0.5, 0.75)
-    assert found["RMS, U mean"] == 0.1
+def test_tables_are_over_the_seeds(small_run):
+    fields = small_run.rows["fields"]
+    table = pd.concat([fields, fields.assign(all_lap=False, lap=0.5)]).assign(rms_u=[0.1, None])
     history = pd.DataFrame(
-        {"stage": "tangent", "iteration": range(20), "unit": 0.25, "total": 0.5}
+        {"stage": "tangent", "iteration": range(20), "unit": 0.25, "total": range(20, 0, -1)}
     )
     losses = [tangent_courses(history), tangent_courses(history.assign(unit=0.75))]
-    means = losses_table(table.assign(losses=losses))
+    tables = Overview().tables({"fields": table.assign(losses=losses)})
+    found, means = (exhibit.content for exhibit in tables)
+    assert found["fields followed mean"].tolist() == [0.5]
+    assert found["lap mean"].tolist() == [0.75]
+    assert found["RMS, U mean"].tolist() == [0.1]
     assert means["loss"].tolist() == ["unit", "total"]
-    assert means["last tenth"].tolist() == [0.5, 0.5]
+    assert means["first tenth"].tolist() == [0.5, 19.5]
+    assert means["last tenth"].tolist() == [0.5, 1.5]

@@ -1,10 +1,10 @@
 """The page: numbers as people read them, pictures as they were, and nothing unescaped."""
 
 import base64
+from collections import Counter
 import html
 from html.parser import HTMLParser
 import io
-import json
 import math
 import re
 
@@ -13,10 +13,10 @@ import pandas as pd
 from PIL import Image
 import pytest
 
-from sgvf_drake.paper import run_reproduce
+from sgvf_drake.paper import run_reproduce, scenario_names
 from sgvf_drake.paper.intervals import interval_columns
 from sgvf_drake.paper.report import build_page
-from sgvf_drake.paper.report.pictures import embed, embed_thumbnail
+from sgvf_drake.paper.report.pictures import embed
 from sgvf_drake.paper.report.tables import (
     cell_text,
     duration_text,
@@ -25,6 +25,7 @@ from sgvf_drake.paper.report.tables import (
     read_table,
     view_table,
 )
+from tests.helpers import summary_of
 
 NASTY = "a <b> & \"c\" 'd' {{ e }} </script>"
 
@@ -119,15 +120,13 @@ def test_three_columns_of_an_interval_become_one(tmp_path):
 
 
 def test_what_is_no_interval_is_not_shown_as_one():
-    table = view_table(pd.DataFrame([interval_columns("laps", [0.25])]))
-    assert cells_of(table) == {"laps": ("0.250",)}
-    assert not table.intervals
+    single = view_table(pd.DataFrame([interval_columns("laps", [0.25])]))
+    assert (cells_of(single), single.intervals) == ({"laps": ("0.250",)}, False)
     whole = pd.DataFrame([interval_columns("laps", [0.8, 0.9])])
     for missing in whole.columns:
         part = whole.drop(columns=missing)
         table = view_table(part)
-        assert [heading for heading, _ in table.columns] == list(part.columns)
-        assert not table.intervals
+        assert ([*cells_of(table)], table.intervals) == ([*part.columns], False)
 
 
 def test_a_table_is_read_as_it_was_written(tmp_path):
@@ -195,23 +194,11 @@ def test_a_large_picture_keeps_its_look(tmp_path):
     assert np.sqrt(np.mean(error**2)) < 3.0
 
 
-def test_a_picture_is_read_anew_when_its_file_has_changed(picture):
-    pixels, path = picture
-    embed(path)
-    Image.fromarray(255 - pixels).save(path)
-    np.testing.assert_array_equal(decoded(embed(path).source), 255 - pixels)
-
-
 def test_a_thumbnail_is_small_and_of_the_same_shape(picture):
     _, path = picture
-    found = embed_thumbnail(path)
+    found = embed(path, thumbnail=True)
     assert decoded(found.source).shape == (216, 360, 3)
     assert (found.width, found.height) == (360, 216)
-
-
-def test_transparent_pixels_are_not_black(tmp_path):
-    Image.new("RGBA", (4, 4), (255, 0, 0, 0)).save(tmp_path / "clear.png")
-    assert (decoded(embed(tmp_path / "clear.png").source) == 255).all()
 
 
 # The page.
@@ -252,115 +239,87 @@ class Outline(HTMLParser):
         return " ".join(" ".join(self.texts).split())
 
 
-@pytest.fixture
-def page_of(fake_scenarios, tmp_path):
-    """Reproduces fake scenarios and reads the page: (only, scenarios=options) -> Outline."""
+@pytest.fixture(scope="module")
+def reproduced(replace_scenarios, tmp_path_factory):
+    """The folder of a reproduction with everything that is told."""
+    out = tmp_path_factory.mktemp("reproduced") / "out"
+    with replace_scenarios(tmp_path_factory.mktemp("scenarios")) as scenarios:
+        scenarios.write("alpha", statement=f"One grows {NASTY}.", seeds=[1, 2, 300])
+        scenarios.write("beta", verdict="holds in part", statement="Two grows.")
+        scenarios.write("gamma", verdict="does not hold", statement="Three grows.")
+        scenarios.write("ours", verdict="does not hold", of_paper=False)
+        scenarios.write("wrong", error=NASTY)
+        run = scenario_names()
+        scenarios.write("zeta")
+        run_reproduce(out, only=run)
+    return out
 
-    def page_of(*only, quick=False, **scenarios):
-        for name, options in scenarios.items():
-            fake_scenarios.write(name, **options)
-        run_reproduce(tmp_path / "out", only=only, quick=quick)
-        return Outline((tmp_path / "out" / "report.html").read_text(encoding="utf-8"))
 
-    return page_of
+@pytest.fixture(scope="module")
+def page(reproduced):
+    """Its page."""
+    return Outline((reproduced / "report.html").read_text(encoding="utf-8"))
 
 
-def test_every_verdict_is_on_the_page(page_of):
-    page = page_of(
-        alpha={"verdict": "holds", "statement": "One grows."},
-        beta={"verdict": "holds in part", "statement": "Two grows."},
-        gamma={"verdict": "does not hold", "statement": "Three grows."},
-    )
-    for statement in ("One grows.", "Two grows.", "Three grows."):
-        assert statement in page.text
-    counts = "1 holds, 1 holds in part and 1 does not hold."
-    assert f"Of 3 claims put to the test in 3 scenarios, {counts}" in page.text
-    kinds = [attributes["class"] for attributes in page.all("span") if "class" in attributes]
-    for kind in ("holds", "partly", "fails"):
-        # In the table and at the scenario.
-        assert kinds.count(f"badge {kind}") == 2
+def test_every_verdict_is_on_the_page_and_those_of_ours_are_not_counted(page):
+    assert "1 holds 1 holds in part 1 does not hold 3 claims put to the test." in page.text
+    for statement in (f"One grows {NASTY}.", "Two grows.", "Three grows."):
+        # In the table, at the scenario, and among its options.
+        assert page.text.count(statement) == 3
+    assert page.text.count("Squares grow. ours") == 1
+    kinds = Counter(attributes.get("class") for attributes in page.all("span"))
+    assert [kinds[f"badge {kind}"] for kind in ("holds", "partly", "fails")] == [2, 2, 4]
     # A verdict is a word and a symbol, not a colour alone.
     for words in ("holds", "holds in part", "does not hold"):
         assert re.search(rf"\b{words}\b", page.text)
-    assert {attributes["href"] for attributes in page.all("use")} == {
-        *("#holds", "#partly", "#fails")
-    }
+    assert {at["href"] for at in page.all("use")} == {"#holds", "#partly", "#fails"}
 
 
-def test_claims_of_ours_are_shown_and_not_counted(page_of):
-    page = page_of(alpha={}, beta={"of_paper": False, "verdict": "does not hold"})
-    assert "Of 1 claim put to the test in 1 scenario, 1 holds." in page.text
-    assert page.text.count("Squares grow. ours") == 1
-
-
-def test_links_lead_to_places_on_the_page(page_of):
-    page = page_of("alpha", alpha={}, beta={})
+def test_links_lead_to_places_on_the_page(page):
     places = [attributes["id"] for _, attributes in page.elements if "id" in attributes]
     assert len(places) == len(set(places))
     links = [attributes["href"] for attributes in page.all("a") + page.all("use")]
-    assert {"#alpha", "#beta", "#alpha.grow"} <= set(links)
+    assert {"#alpha", "#zeta", "#alpha.grow"} <= set(links)
     assert {link.removeprefix("#") for link in links} <= set(places)
     labels = [at["aria-labelledby"] for _, at in page.elements if "aria-labelledby" in at]
     assert set(labels) <= set(places)
 
 
-def test_a_page_is_whole_in_itself_and_says_how_to_run_it_again(page_of):
-    page = page_of(alpha={"seeds": [1, 2, 300]})
-    assert "Of 1 claim put to the test in 1 scenario, 1 holds." in page.text
+def test_a_page_is_whole_in_itself_and_says_how_to_run_it_again(page):
     assert page.all("script") == []
     sources = [attributes["src"] for attributes in page.all("img")]
     assert all(source.startswith("data:image/webp;base64,") for source in sources)
     assert [at["href"] for at in page.all("link")] == ["data:,"]
     assert "url(" not in "".join(page.texts)
-    thumbnail, figure = page.all("img")
-    assert thumbnail["alt"] == ""
-    assert figure["alt"] == "How squares grow."
-    assert page.text.count("The same in numbers.") == 1
+    # A thumbnail and a figure of each of the four that ran.
+    assert Counter(at["alt"] for at in page.all("img")) == {"": 4, "How squares grow.": 4}
+    assert page.text.count("The same in numbers.") == 4
     assert "270,000" in page.text
     assert all(at["scope"] in ("col", "row", "rowgroup") for at in page.all("th"))
-    assert len(page.all("caption")) == len(page.all("table")) == 2
+    assert len(page.all("caption")) == len(page.all("table")) == 1 + 4
     assert "sgvf run alpha --out alpha" in page.text
     assert "experiment: !FakeExperiment" in page.text
     assert "Seeds 1, 2, 300" in page.text
 
 
-def test_a_quick_page_says_so(page_of):
-    page = page_of(alpha={}, quick=True)
+def test_what_is_missing_or_failed_is_told_and_escaped(page, reproduced):
+    assert "Failed, 1 of 6 scenarios: wrong ." in page.text
+    assert "Missing, 1 of 6 scenarios: zeta ." in page.text
+    assert f"RuntimeError: {NASTY}" in page.text
+    assert "Not run yet." in page.text
+    assert page.all("b") == []
+    text = (reproduced / "report.html").read_text(encoding="utf-8")
+    assert html.escape(NASTY).replace("&quot;", "&#34;").replace("&#x27;", "&#39;") in text
+    # It can be built again from the folder.
+    assert build_page(summary_of(reproduced), reproduced) == text
+
+
+def test_a_quick_page_on_which_nothing_was_found_says_so(fake_scenarios, tmp_path):
+    fake_scenarios.write("alpha", error="no ink")
+    run_reproduce(tmp_path, quick=True)
+    page = Outline((tmp_path / "report.html").read_text(encoding="utf-8"))
+    assert "No claim put to the test." in page.text
+    assert page.all("img") == []
+    assert "Quick reproduction" in page.text
     assert "sgvf run alpha --override quick --out alpha" in page.text
     assert "sgvf reproduce --quick" in page.text
-    assert "Quick reproduction" in page.text
-
-
-def test_what_is_missing_or_failed_is_told(page_of):
-    page = page_of(
-        *("alpha", "beta"), alpha={}, beta={"error": "no <ink> & no paper"}, gamma={}
-    )
-    assert "Failed, 1 of 3 scenarios: beta ." in page.text
-    assert "Missing, 1 of 3 scenarios: gamma ." in page.text
-    assert "RuntimeError: no <ink> & no paper" in page.text
-    assert "Not run yet." in page.text
-
-
-def test_nothing_run_is_a_page_too(page_of):
-    page = page_of("alpha", alpha={"error": "no ink"}, beta={})
-    assert "No claim has been put to the test yet." in page.text
-    assert page.all("img") == []
-
-
-def test_what_experiments_say_is_escaped(fake_scenarios, tmp_path):
-    fake_scenarios.write("alpha", statement=NASTY)
-    fake_scenarios.write("beta", error=NASTY)
-    run_reproduce(tmp_path / "out")
-    text = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    page = Outline(text)
-    # The statement in the table and at its scenario, and the error.
-    assert page.text.count(NASTY) >= 3
-    assert page.all("b") == []
-    assert html.escape(NASTY).replace("&quot;", "&#34;").replace("&#x27;", "&#39;") in text
-
-
-def test_the_page_can_be_built_again_from_the_folder(page_of, tmp_path):
-    page_of(alpha={}, beta={})
-    out = tmp_path / "out"
-    summary = json.loads((out / "summary.json").read_text())
-    assert build_page(summary, out) == (out / "report.html").read_text(encoding="utf-8")

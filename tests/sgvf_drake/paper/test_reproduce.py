@@ -212,16 +212,6 @@ def test_a_result_that_came_otherwise_is_not_replaced_unasked(three, tmp_path, f
     assert summary_of(tmp_path / "beta")["options"]["size"] == 4
 
 
-def test_a_file_in_the_way_of_a_new_exhibit_fails_its_scenario(three, tmp_path):
-    run_reproduce(tmp_path)
-    (tmp_path / "alpha" / "cubes.png").write_text("mine")
-    three.write("alpha", exhibit="cubes")
-    entry = run_reproduce(tmp_path)["scenarios"]["alpha"]
-    assert entry["status"] == "failed"
-    assert "already holds cubes.png" in entry["error"]
-    assert (tmp_path / "alpha" / "cubes.png").read_text() == "mine"
-
-
 @pytest.mark.parametrize("quick", [True, False])
 def test_quick_and_full_results_do_not_replace_each_other(three, tmp_path, quick):
     run_reproduce(tmp_path, quick=quick)

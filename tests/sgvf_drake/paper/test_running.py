@@ -9,6 +9,7 @@ import pytest
 
 from sgvf_drake.exceptions import ConfigurationError, ExperimentError, OutputExistsError
 from sgvf_drake.paper import load_scenario, run_scenario, running
+from sgvf_drake.paper.experiment import load_rows
 from sgvf_drake.paper.running import is_result_of, stored_summary
 from tests.helpers import content_of, names_in
 
@@ -50,7 +51,7 @@ def test_a_run_leaves_exhibits_logs_scenario_and_summary(load, tmp_path):
     assert stored.keys() == summary.keys() == KEYS
     assert stored.items() >= scenario.summary().items()
     assert stored["seeds"] == [1, 2, 4]
-    assert stored["figures"] == {"largest": 48}
+    assert load_rows(out / "rows.json")["squares"].equals(table)
     assert stored["claims"] == [
         {
             **{"key": "grow", "source": "Section IX", "statement": "Squares grow."},
@@ -63,13 +64,6 @@ def test_a_run_leaves_exhibits_logs_scenario_and_summary(load, tmp_path):
     ]
     assert stored["logs"] == ["log.parquet"]
     assert 0.0 < stored["trial_s"] < stored["wall_s"]
-
-
-def test_trials_can_be_kept_elsewhere_and_shared(load, fake_scenarios, tmp_path):
-    for name in ("a", "b"):
-        run_scenario(load(exhibit=name), tmp_path / name, trials=tmp_path / "store")
-        assert "trials" not in names_in(tmp_path / name)
-    assert len(fake_scenarios.measured) == 2
 
 
 # What is in the way.

@@ -5,6 +5,7 @@ from dataclasses import asdict
 import pytest
 
 from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.experiments.workbench import Workbench
 from sgvf_drake.paper import load_scenario, override_names, scenario, scenario_names
 from sgvf_drake.paper.scenario import KINDS
 
@@ -35,11 +36,46 @@ def test_every_scenario_is_whole_and_has_a_quick_case(name, tmp_path):
     assert len(quick.experiment.seeds) <= len(full.experiment.seeds)
 
 
+@pytest.mark.full
+@pytest.mark.parametrize("name", scenario_names())
+def test_every_quick_case_is_measured_drawn_and_told(name, tmp_path, run_kind):
+    found = run_kind(load_scenario(name, [QUICK]).experiment, tmp_path)
+    assert found.figures
+    assert found.tables
+    assert found.verdicts
+
+
 def test_every_kind_has_a_scenario():
     used = {type(load_scenario(name).experiment) for name in scenario_names()}
     assert used == set(KINDS)
     assert len({kind.__name__ for kind in KINDS}) == len(KINDS)
     assert scenario.NoExperiment not in KINDS
+
+
+@pytest.mark.parametrize(
+    ("name", "setting", "said"),
+    [
+        ("baselines", "cases=[circles]", r"no case 'circles' \(they are ordered"),
+        ("baselines", "methods=[spline]", "no method 'spline'"),
+        ("baselines", "methods=[]", "needs a method"),
+        ("fig3_flights", "tours=['1']", "there are 2 shapes to fly, but 1 tours"),
+        ("fig3_flights", "tours=['1,a', '1']", "as in '1,2,1', not '1,a'"),
+        ("fig3_flights", "tours=['1,2', '1,3']", "pieces from 1 to 2 .* not '1,3'"),
+        ("fig3_flights", "tours=['0', '1']", "not '0'"),
+        ("fig4_robust_recipe", "variants=[no-hope]", "no variant 'no-hope'"),
+        ("fig4_robust_recipe", "variants=[complete]", "no variant 'complete'"),
+        ("fig6_corners", "angle_polygons=[3, 6]", r"not \[3, 6\]"),
+        ("section2_stein", "draws=0", "a positive multiple of 20000, not 0"),
+        ("section2_stein", "draws=20001", "a positive multiple of 20000, not 20001"),
+    ],
+)
+def test_an_option_that_cannot_be_used_is_refused_before_anything_runs(
+    tmp_path, name, setting, said
+):
+    kind = load_scenario(name, settings=[setting]).experiment
+    with pytest.raises(ConfigurationError, match=said):
+        kind.measure(Workbench(tmp_path / "trials"))
+    assert not list(tmp_path.iterdir())
 
 
 # Overrides and settings.
@@ -70,16 +106,6 @@ def test_settings_come_last(fake_scenarios):
     changed = {"size": 8, "seeds": [5, 6], "exhibit": "x=y"}
     base = experiment_of("a", QUICK)
     assert experiment_of("a", QUICK, settings=settings) == {**base, **changed}
-
-
-def test_the_summary_is_what_the_scenario_is(fake_scenarios):
-    loaded = load_scenario(fake_scenarios.write("a", size=7))
-    assert loaded.summary() == {
-        "title": "Title of a",
-        "source": "Fig. 9",
-        "kind": "FakeExperiment",
-        "options": asdict(loaded.experiment),
-    }
 
 
 # What cannot be used: the message names the file and what is wrong in it.

@@ -9,8 +9,6 @@ import pytest
 from scipy.integrate import quad
 
 from sgvf_drake import learning
-from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.experiments.workbench import Workbench
 from sgvf_drake.fields import GaussianMixture
 from sgvf_drake.paper import stein
 from sgvf_drake.paper.claims import Verdict
@@ -111,8 +109,8 @@ def test_the_exact_score_keeps_the_identity(exact, probes):
 
 def test_a_score_that_is_altered_departs_by_as_much(mixture, probes):
     found = collect(Altered(mixture, lambda S: 3 * S), mixture, probes, DRAWS, 0).departures()
-    (finding,) = findings(rows_of({"robust recipe": found}))
-    assert finding["share"] == pytest.approx(2.0, abs=0.05)
+    (share,) = findings(rows_of({"robust recipe": found}))["share"]
+    assert share == pytest.approx(2.0, abs=0.05)
     assert found["z"] > z_limit(4 * len(probes))
     assert found["mean_z"] <= z_limit(2)
     assert found["score_error"] == pytest.approx(2.0, rel=1e-6)
@@ -162,24 +160,14 @@ def test_a_learned_score_is_tested_on_its_own_density(tmp_path, monkeypatch, rob
     assert size == pytest.approx(1 / robust_field.sigma, rel=0.03)
 
 
-def test_the_kind_runs_on_exact_scores(tmp_path, check_outcome):
-    kind = SteinIdentity(recipes=[], draws=2 * CHUNK, seeds=[0])
-    outcome = kind.run(Workbench(tmp_path))
-    names = [exhibit.name for exhibit in outcome.exhibits]
-    assert names == ["stein", "stein_scores", "stein_test_fields"]
-    assert len(outcome.exhibits[1].content) == 6
-    assert len(outcome.exhibits[2].content) == 9
-    assert [claim.key for claim in outcome.claims] == [
+def test_the_kind_runs_on_exact_scores(run_kind, tmp_path):
+    found = run_kind(SteinIdentity(recipes=[], draws=2 * CHUNK, seeds=[0]), tmp_path)
+    assert [*found.figures] == ["stein"]
+    assert [len(table) for table in found.tables.values()] == [6, 9]
+    assert [*found.verdicts] == [
         *("stein-identity", "stein-log-density"),
         *("stein-squashed-identity", "stein-squashed-mean"),
     ]
-    check_outcome(kind, outcome)
-
-
-@pytest.mark.parametrize("draws", [0, CHUNK - 1, CHUNK + 1])
-def test_draws_that_do_not_fill_their_chunks_are_an_error(draws, tmp_path):
-    with pytest.raises(ConfigurationError, match=f"a positive multiple of 20000, not {draws}"):
-        SteinIdentity(draws=draws).run(Workbench(tmp_path))
 
 
 # Verdicts.

@@ -7,7 +7,6 @@ import pandas as pd
 import pytest
 
 from sgvf_drake import learning
-from sgvf_drake.experiments.workbench import Workbench
 from sgvf_drake.fields import ParametricField
 from sgvf_drake.fields.storage import field_digest
 from sgvf_drake.lyapunov import NEAR_PATH, find_singularities
@@ -224,7 +223,7 @@ def test_tables_count_over_the_fields():
 
 
 def test_the_kind_runs_on_trained_fields(
-    monkeypatch, tmp_path, check_outcome, robust_field, paper_field
+    monkeypatch, run_kind, robust_field, paper_field, tmp_path
 ):
     fields = {"robust": robust_field, "paper": paper_field}
     asked = []
@@ -246,32 +245,15 @@ def test_the_kind_runs_on_trained_fields(
     monkeypatch.setattr(learning, "train", stored)
     shape = "concentric-circles"
     kind = ScoreVanishing([shape], [shape], parametric_points=60, effort=0.5, seeds=[0])
-    outcome = kind.run(Workbench(tmp_path))
+    found = run_kind(kind, tmp_path)
     # No second attempt of the robust recipe is asked for, nor the tangent of the paper's.
     assert asked == [(750, 500, 0), (5_000, 1, None)]
-    assert [exhibit.name for exhibit in outcome.exhibits] == [
-        *("vanishing", "vanishing_shapes", "vanishing_zeros"),
-        *("vanishing_counts", "vanishing_places", "singularity_free"),
-    ]
-    counts, _, pieces = (exhibit.content for exhibit in outcome.exhibits[3:])
+    assert [*found.figures] == ["vanishing", "vanishing_shapes", "vanishing_zeros"]
+    counts = found.tables["vanishing_counts"]
     sums = [counts[f"indices {side}"].astype(int) for side in ("on the path", "off it")]
     assert (sum(sums) == 1).all()
     assert counts["regions as topology has them"].iloc[0] == "3 of 3"
-    assert pieces["piece"].tolist() == [1, 2]
-    zeros = outcome.logs["score_zeros"]
-    assert (zeros.groupby("score")["index"].sum() == 1).all()
-    verdict = {finding.key: finding.verdict for finding in outcome.claims}
-    assert verdict["vanishing-indices"] in (HOLDS, PARTLY)
-    assert verdict["vanishing-singularity-free"] is HOLDS
-    check_outcome(kind, outcome)
-
-
-@pytest.mark.full
-def test_the_kind_trains_its_fields(tmp_path, check_outcome):
-    kind = ScoreVanishing(["square"], ["square"], parametric_points=60, effort=0.1, seeds=[0])
-    outcome = kind.run(Workbench(tmp_path))
-    # Topology does not ask how long a network was trained.
-    counts = outcome.exhibits[3].content
-    assert counts["on the border"].tolist() == ["1", "1"]
-    assert counts["regions as topology has them"].tolist() == ["2 of 2", "2 of 2"]
-    check_outcome(kind, outcome)
+    assert found.tables["singularity_free"]["piece"].tolist() == [1, 2]
+    assert (found.logs["score_zeros"].groupby("score")["index"].sum() == 1).all()
+    assert found.verdicts["vanishing-indices"] in (HOLDS, PARTLY)
+    assert found.verdicts["vanishing-singularity-free"] is HOLDS

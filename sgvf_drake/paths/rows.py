@@ -1,0 +1,70 @@
+"""Whether waypoints on both sides of a line scatter, or lie in rows along it.
+
+A scale that is wider than the distance of two strands merges them, and those of a whole
+coverage, into one line.  Scatter about a line has no direction: of the waypoints next to
+another, a third lies within 30 degrees of the line.  On strands the next waypoint lies along
+the line, as long as the strands are not much nearer to each other than their waypoints.
+
+All lengths are in units of the cloud (U).
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from sgvf_drake.arrays import FloatArray
+from sgvf_drake.paths.reference import Piece, Projection
+
+WIDE = 0.9
+"""Scatter in mean steps along a line from which on rows are told: that of two strands .9 of
+their spacing apart."""
+
+NEXT, TIED = 2, 5
+"""The nearest waypoints whose directions are looked at: on a strand, both neighbours.  With the
+waypoint itself, five may be as near as them on a square lattice."""
+
+ALONG = np.cos(np.radians(30.0))
+"""Cosine of the angle to the line within which a third of all directions in the plane lie."""
+
+SHARE_ALONG = 0.48
+"""Of waypoints that scatter, fewer neighbours lie along the line: up to .44 of 200 waypoints on
+strips of several widths; of strands one spacing apart, .5 and more."""
+
+SMALL = 1e-3
+"""Relative: half of the step along a line that tells its direction, and what distances may
+differ by that are the same."""
+
+
+def lie_in_rows(
+    lines: Sequence[Piece], points: FloatArray, foot: Projection, near: float
+) -> bool:
+    """Whether waypoints about lines lie in rows along them.
+
+    Args:
+        lines: What was found.
+        points: The waypoints, (N, d).
+        foot: The nearest points of the lines to them.
+        near: Those farther from every line are strays.
+    """
+    own = foot.distance < near
+    step = sum(line.length for line in lines) / len(points)
+    if not own.any() or np.sqrt((foot.distance[own] ** 2).mean()) < WIDE * step:
+        return False
+    tangent = np.empty_like(points)
+    for number, line in enumerate(lines):
+        on = foot.piece == number
+        ends = [
+            line.at(np.clip(foot.arc[on] + half, 0, line.length))
+            for half in (-SMALL * line.length, SMALL * line.length)
+        ]
+        tangent[on] = ends[1] - ends[0]
+    distinct, first = np.unique(points, axis=0, return_index=True)
+    distance, nearest = cKDTree(distinct).query(distinct, k=min(TIED, len(distinct)))
+    away = distinct[nearest[:, 1:]] - distinct[:, None]
+    along = np.abs((away * tangent[first, None]).sum(axis=2))
+    size = np.linalg.norm(away, axis=2) * np.linalg.norm(tangent[first], axis=1)[:, None]
+    # On a lattice, several are as near as the second one.
+    counted = distance[:, 1:] <= (1 + SMALL) * distance[:, [min(NEXT, distance.shape[1] - 1)]]
+    share = ((along > ALONG * size) & counted).sum(axis=1) / counted.sum(axis=1)
+    return bool(share[own[first]].mean() > SHARE_ALONG)
