@@ -22,7 +22,13 @@ from sgvf_drake.exceptions import (
     PointCloudError,
     SgvfError,
 )
-from sgvf_drake.fields import Field, GaussianMixture, GuidingField, load_field
+from sgvf_drake.fields import (
+    DirectedField,
+    Field,
+    GaussianMixture,
+    GuidingField,
+    load_field,
+)
 from sgvf_drake.paths import SHAPES, PathNetwork, ReferencePath, make_shape, shape_path
 
 if TYPE_CHECKING:
@@ -45,6 +51,7 @@ __all__ = [
     "SHAPES",
     "Certificate",
     "ConfigurationError",
+    "DirectedField",
     "Field",
     "FieldFileError",
     "GaussianMixture",

@@ -4,6 +4,7 @@ An edge counts as run along when its middle was passed: through a gate across it
 no other strand is near.
 """
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 import itertools
@@ -65,9 +66,17 @@ def passages(positions: FloatArray, network: PathNetwork) -> list[list[Passage]]
         start, end = positions[sample, agent], positions[sample + 1, agent]
         through = start + share * (end - start)
         near = np.linalg.norm(through - gate.place, axis=1) <= gate.radius
+        passed: dict[int, list[Passage]] = defaultdict(list)
         for k in np.flatnonzero(near):
             edge = number if a[k] < 0 else -number
-            found[agent[k]].append(Passage(int(sample[k]), edge))
+            own = passed[agent[k]]
+            if own and not _left(positions[own[-1].sample : sample[k] + 1, agent[k]], gate):
+                # To and fro on the spot.
+                own.pop()
+            else:
+                own.append(Passage(int(sample[k]), edge))
+        for agent_number, own in passed.items():
+            found[agent_number] += own
     return [sorted(own) for own in found]
 
 
@@ -135,6 +144,11 @@ def errors_in_use(
         distance = ReferencePath(tuple(lines)).project(positions[samples]).distance
         errors[samples] = distance
     return errors
+
+
+def _left(positions: FloatArray, gate: _Gate) -> bool:
+    """Whether an agent (T, d) went away from a gate, farther than it is wide."""
+    return bool((np.linalg.norm(positions - gate.place, axis=1) > gate.radius).any())
 
 
 def _next(following: Sequence[tuple[int, int]], edge: int, last: int | None) -> int | None:

@@ -76,6 +76,19 @@ class _Passage:
     out: float
 
 
+@dataclass(frozen=True)
+class _Bend:
+    """How far before a sharp bend, or a node, the direction behind it is the intended one."""
+
+    sigma: float
+    kappa: float
+    lag: float
+
+    def lead(self, straight: float) -> float:
+        """The distance for a turn of this cosine."""
+        return MARGIN * _takeover(straight, self.kappa) * self.sigma + self.lag
+
+
 def sections(
     itinerary: Itinerary, sigma: float, kappa: float = KAPPA, lag: float | None = None
 ) -> tuple[Section, ...]:
@@ -101,11 +114,12 @@ def sections(
         if not 0 < value < math.inf:
             raise ConfigurationError(f"{name} must be positive and finite, not {value}")
     ends = np.append(itinerary.starts[1:], itinerary.length)
-    passages = [_passage(itinerary, k, sigma, kappa, lag) for k in range(len(ends))]
+    bend = _Bend(sigma, kappa, lag)
+    passages = [_passage(itinerary, k, bend) for k in range(len(ends))]
     found: list[Section] = []
     for k, (begin, end) in enumerate(zip(itinerary.starts, ends, strict=True)):
         before = passages[k - 1] if k or itinerary.closed else None
-        found += _on_edge(itinerary, k, (float(begin), float(end)), before, passages[k], sigma)
+        found += _on_edge(itinerary, k, (float(begin), float(end)), before, passages[k], bend)
     if not itinerary.closed:
         found = _stopped(found, max(itinerary.length - END * sigma, itinerary.length / 2))
     return tuple(found)
@@ -122,9 +136,10 @@ def _on_edge(
     span: tuple[float, float],
     before: _Passage | None,
     after: _Passage | None,
-    sigma: float,
+    bend: "_Bend",
 ) -> list[Section]:
     """The sections of an edge: behind one node, between the two, and before the other."""
+    sigma = bend.sigma
     begin, end = span
     out, lead = (before.out if before else 0.0), (after.lead if after else 0.0)
     # A short edge is shared by its two nodes.
@@ -136,18 +151,18 @@ def _on_edge(
         found.append(Section(begin, left, before.direction, edge, None, before.turns))
     if right - left > 1e-9 * sigma:
         cuts = _cut_bends(itinerary, (left, right), span, sigma)
-        for a, b in itertools.pairwise(cuts):
-            chord = _chord(itinerary, a, b)
+        chords = [_chord(itinerary, a, b) for a, b in itertools.pairwise(cuts)]
+        guards = _led(itinerary, cuts, span, bend)
+        for chord, (a, b) in zip(chords, itertools.pairwise(guards), strict=True):
             found.append(Section(a, b, chord, edge, node if b == end else None, False))
     if after is not None:
         found.append(Section(right, end, after.direction, edge, node, after.turns))
     return found
 
 
-def _passage(
-    itinerary: Itinerary, k: int, sigma: float, kappa: float, lag: float
-) -> _Passage | None:
+def _passage(itinerary: Itinerary, k: int, bend: _Bend) -> _Passage | None:
     """How the node at the end of the `k`-th edge is passed; None if no edge follows."""
+    sigma = bend.sigma
     node, last = itinerary.nodes[k], k + 1 == len(itinerary.edges)
     if node is None or (last and not itinerary.closed):
         return None
@@ -160,10 +175,7 @@ def _passage(
     direction = _chord(itinerary, exit_at, exit_at + out)
     straight = float(into @ direction)
     turns = straight < math.cos(TURN)
-    if is_end(itinerary, node):
-        lead = END * sigma
-    else:
-        lead = MARGIN * _takeover(straight, kappa) * sigma + lag
+    lead = END * sigma if is_end(itinerary, node) else bend.lead(straight)
     return _Passage(direction, turns, lead, EXIT * sigma)
 
 
@@ -212,6 +224,21 @@ def _cut_bends(
         return halved(first, half) + halved(half, last)
 
     return [zone[0], *s[halved(0, len(s) - 1)[:-1]].tolist(), zone[1]]
+
+
+def _led(
+    itinerary: Itinerary, cuts: list[float], edge: tuple[float, float], bend: _Bend
+) -> list[float]:
+    """The guards at the cuts of an edge: ahead of those at corners, as before a node."""
+    guards = cuts[:1]
+    for cut in cuts[1:-1]:
+        into = _chord(itinerary, max(cut - EXIT * bend.sigma, edge[0]), cut)
+        out = _chord(itinerary, cut, min(cut + EXIT * bend.sigma, edge[1]))
+        straight = float(into @ out)
+        lead = bend.lead(straight) if straight < math.cos(TURN) else 0.0
+        # Half of the way from the guard before is left for the direction there.
+        guards.append(max(cut - lead, (guards[-1] + cut) / 2))
+    return [*guards, cuts[-1]]
 
 
 def _chord(itinerary: Itinerary, begin: float, end: float) -> FloatArray:

@@ -34,11 +34,12 @@ def test_every_public_name_resolves_and_no_other():
 
 
 def test_importing_is_light_and_torch_comes_with_the_first_use_of_train(tmp_path):
-    pieces = ("import sgvf_drake", "sgvf_drake.TrainingConfig")
-    modules, later = modules_after(pieces, tmp_path)
+    pieces = ("import sgvf_drake", "sgvf_drake.TrainingConfig()", "sgvf_drake.train")
+    modules, configured, later = modules_after(pieces, tmp_path)
     assert "sgvf_drake.fields" in modules
     assert not modules & {"torch", "pydrake", "matplotlib", "systems"}
     assert not any(name.startswith("sgvf_drake.experiments") for name in modules)
+    assert "torch" not in configured
     assert "torch" in later
     assert "pydrake" not in later
 
