@@ -124,6 +124,17 @@ def turn_fraction(passed: Sequence[Sequence[Passage]], itinerary: Itinerary) -> 
     return sum(done) / len(done) if done else None
 
 
+def runs_along(passed: Sequence[Passage], itinerary: Itinerary) -> bool:
+    """Whether an agent passed the edges of an itinerary in order.
+
+    An open one may begin and end on the way, so that its first and its last edge need not be
+    passed.
+    """
+    wanted = itinerary.edges if itinerary.closed else itinerary.edges[1:-1]
+    left = iter(passage.edge for passage in passed)
+    return all(any(edge == own for own in left) for edge in wanted)
+
+
 def errors_in_use(
     positions: FloatArray, passed: Sequence[Passage], network: PathNetwork
 ) -> FloatArray:

@@ -27,7 +27,7 @@ from sgvf_drake.experiments.tour import has_flown, speed_figures, start_along, t
 from sgvf_drake.fields import DirectedField
 from sgvf_drake.metrics import REACH_DISTANCE, SETTLE_DISTANCE
 from sgvf_drake.network_metrics import WAY_OFF
-from sgvf_drake.passages import errors_in_use, passages, turn_fraction
+from sgvf_drake.passages import errors_in_use, passages, runs_along, turn_fraction
 from sgvf_drake.paths import PathNetwork
 from sgvf_drake.paths.itinerary import Itinerary
 from sgvf_drake.paths.planning import covering, shortest
@@ -211,7 +211,8 @@ def _figures(
     altitude = log["z"].to_numpy()[moving] - spec.altitude
     forces = log[list(FORCE_COLUMNS)].to_numpy()
     return {
-        "route_completed": bool((error[came] <= SETTLE_DISTANCE * unit).all()),
+        "route_completed": runs_along(passed[0], itinerary)
+        and bool((error[came] <= SETTLE_DISTANCE * unit).all()),
         "turn_fraction": turn_fraction(passed, itinerary),
         "turned_nodes": len(turned),
         **{f"cross_track_{name}_m": x for name, x in _size(error[flies & ~in_turn]).items()},

@@ -9,6 +9,7 @@ from sgvf_drake.network_metrics import network_metrics
 from sgvf_drake.passages import (
     errors_in_use,
     passages,
+    runs_along,
     straight_fraction,
     straight_on,
     turn_fraction,
@@ -58,6 +59,31 @@ def test_a_motion_along_an_itinerary_passes_its_edges_in_order(name: str) -> Non
     own = passages(along(itinerary, laps), network)
     assert turn_fraction(own, itinerary) == 1
     assert errors_in_use(along(itinerary)[:, 0], own[0][:-1], network).max() < 1e-6
+
+
+def test_an_itinerary_is_run_along_if_no_edge_is_left_out() -> None:
+    network = found("grid")
+    tour = covering(network)
+    whole = passages(along(tour, 1.3), network)[0]
+    assert runs_along(whole, tour)
+    for k in range(len(tour.edges) - 1):
+        assert not runs_along([*whole[:k], *whole[k + 1 : len(tour.edges)]], tour)
+    # An open one need not pass the middles of the edges on which it begins and ends.
+    part = Itinerary.along(tour.edges[:4], network, closed=False)
+    assert runs_along(whole[1:3], part)
+    assert not runs_along(whole[1:2], part)
+
+
+def test_to_and_fro_through_a_gate_is_no_passage() -> None:
+    network = found("T")
+    line = oriented_line(network, 1)[:, None]
+    middle = len(line) // 2
+    there, back = line[: middle + 3], line[middle - 3 : middle + 3][::-1]
+    motion = np.concatenate([there, back, line[middle - 3 :]])
+    assert [p.edge for p in passages(motion, network)[0]] == [1]
+    # Who went to the end and came back passed it twice.
+    turned = np.concatenate([line, line[::-1]])
+    assert [p.edge for p in passages(turned, network)[0]] == [1, -1]
 
 
 def test_what_lies_ahead_of_a_crossing_is_known_both_ways() -> None:

