@@ -85,8 +85,13 @@ class _Bend:
     lag: float
 
     def lead(self, straight: float) -> float:
-        """The distance for a turn of this cosine."""
-        return MARGIN * _takeover(straight, self.kappa) * self.sigma + self.lag
+        """The distance for a turn of this cosine.
+
+        The lag is part of it, but less the more the exit leads back: there, an agent whose
+        heading has turned too early is led back along the edge that it came by.
+        """
+        lag = self.lag * min(1.0, 1.0 + straight)
+        return MARGIN * _takeover(straight, self.kappa) * self.sigma + lag
 
 
 def sections(
