@@ -43,7 +43,7 @@ def tangents_along(itinerary, a, b, sigma):
 
 def check_sections(itinerary, sigma):
     found_sections = sections(itinerary, sigma)
-    at, before = 0.0, found_sections[-2:]
+    at = 0.0
     ends = np.append(itinerary.starts[1:], itinerary.length)
     for section in found_sections:
         assert section.begin == pytest.approx(at, abs=1e-9)
@@ -57,13 +57,17 @@ def check_sections(itinerary, sigma):
         assert np.linalg.norm(section.direction) == pytest.approx(1)
         # Behind a turn chords across the node are not along the edge.
         begin = section.begin + section.turns * sigma / 2
-        if min(s.direction @ section.direction for s in before) < math.cos(math.radians(40)):
-            # Ahead of a corner as of a node, by at most what there is at 90 degrees.
-            begin = min(begin + (0.88 * 2.58 + 1) * sigma, section.end)
-        before = [*before[1:], section]
-        if not (section.turns and section.node is not None):
-            tangents = tangents_along(itinerary, begin, section.end, sigma)
-            assert (tangents @ section.direction).min() > math.cos(math.radians(60))
+        if begin < section.end and not (section.turns and section.node is not None):
+            # Ahead of a corner, as of a node, g is the direction behind it: by at most what is
+            # there at 90 degrees.
+            lead = (0.88 * 2.58 + 1) * sigma
+            # Short of the next node, where the line may turn round.
+            end = max(section.end, min(section.end + lead, ends[place] - sigma))
+            cosines = tangents_along(itinerary, begin, end, sigma) @ section.direction
+            reach = math.ceil(len(cosines) * lead / (end - begin))
+            inside = np.linspace(begin, end, len(cosines)) <= section.end
+            ahead = [cosines[k : k + reach + 1].max() for k in np.flatnonzero(inside)]
+            assert min(ahead) > math.cos(math.radians(60))
     return found_sections, at
 
 
