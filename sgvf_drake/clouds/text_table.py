@@ -140,6 +140,9 @@ def parse_text(path: Path, text: str) -> TextTable:
     if names is not None and delimiter is None and len(names) != len(fields):
         # Units beside the names: "X [m] Y [m]".
         names = re.sub(r"\s+(?=[\[(])", "", lines[0][1]).split()
+        if len(names) == len(fields) - 1 and lines[0][1][:1].isspace():
+            # The first column has no name, as the index that pandas writes.
+            names = ["", *names]
     if names is not None and (not fields[-1] or len(fields) < len(names)):
         names = _trimmed(names)
     return TextTable(

@@ -307,7 +307,8 @@ def test_agents_on_fields_with_a_sink_near_a_corner_are_found_there(
         asked.append(config)
         scores.append(score)
         check = SimpleNamespace(passed=False)
-        return SimpleNamespace(field=planted_field(cloud, sink), self_check=check, restarts=0)
+        field = planted_field(cloud, sink)
+        return SimpleNamespace(guiding_field=field, self_check=check, restarts=0)
 
     monkeypatch.setattr(learning, "train", plant)
     kind = Corners([], num_points=80, starts=9, patience=0.5, effort=0.5, seeds=[0])

@@ -48,7 +48,7 @@ def trained(monkeypatch, turning_field):
     """A field in closed form around both rings, as if it were trained."""
     cloud, _ = make_shape("concentric-flight")
     field = turning_field(cloud, recipe="robust")
-    result = SimpleNamespace(field=field)
+    result = SimpleNamespace(guiding_field=field)
     monkeypatch.setattr("sgvf_drake.learning.train", lambda cloud, config: result)
 
 

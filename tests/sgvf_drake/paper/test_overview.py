@@ -31,7 +31,7 @@ def small_run(concentric, turning_field, tmp_path_factory, run_kind):
         for stage, term in stages
     )
     field = turning_field(concentric[0], recipe="robust")
-    result = SimpleNamespace(field=field, history=history, restarts=0, cpu_s=1.0)
+    result = SimpleNamespace(guiding_field=field, history=history, restarts=0, cpu_s=1.0)
     kind = Overview(shapes=["concentric-circles"], recipes=["robust"], starts=25, seeds=[0])
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("sgvf_drake.learning.train", lambda cloud, config: result)

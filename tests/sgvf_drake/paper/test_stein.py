@@ -142,7 +142,7 @@ def test_a_learned_score_is_tested_on_its_own_density(tmp_path, monkeypatch, rob
     drawn = []
 
     def stored(cloud, config):
-        return SimpleNamespace(field=robust_field)
+        return SimpleNamespace(guiding_field=robust_field)
 
     def collected(*arguments):
         drawn.append(collect(*arguments))

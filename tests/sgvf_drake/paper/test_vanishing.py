@@ -230,7 +230,7 @@ def test_the_kind_runs_on_trained_fields(
 
     def stored(cloud, config):
         asked.append((config.score_iterations, config.tangent_iterations, config.max_restarts))
-        return SimpleNamespace(field=fields[config.recipe])
+        return SimpleNamespace(guiding_field=fields[config.recipe])
 
     # The zeros of a field are found once, for the rows and for the figure.
     searched = {}
