@@ -148,6 +148,21 @@ def test_the_exit_is_told_where_it_attracts_more(degrees, kappa):
         np.testing.assert_allclose(lead.direction, network.nodes[2].place / 4, atol=1e-9)
 
 
+@pytest.mark.parametrize("lag", [0.0, 0.1])
+def test_a_corner_of_an_edge_is_led_into_as_a_node_is(lag):
+    """An edge along x and then along y is like two that meet at a right angle."""
+    places = np.array([[0.0, 0.0], [4.0, 4.0], [8.0, 4.0], [4.0, 8.0]])
+    corner = np.array([[4.0, 0.0]])
+    network = straight_network(places, [(0, 1), (1, 2), (1, 3)], {0: corner})
+    first, second, *_ = sections(Itinerary.parse("1,2", network), 0.1, lag=lag)
+    np.testing.assert_allclose(first.direction, [1, 0], atol=0.05)
+    np.testing.assert_allclose(second.direction, [0, 1], atol=0.05)
+    node = sections(Itinerary.along([1, -2], arms(90, 0)), 0.1, lag=lag)
+    lead = next(section.end - section.begin for section in node if section.node == 0)
+    assert 4.0 - first.end == pytest.approx(lead, abs=0.03)
+    assert not second.turns
+
+
 def test_what_turns():
     for degrees, turns in ((0, False), (30, False), (60, True), (150, True)):
         parts = sections(Itinerary.along([1, -2], arms(degrees, 200)), 0.1)
