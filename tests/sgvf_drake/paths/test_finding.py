@@ -395,3 +395,18 @@ def test_many_points_in_space() -> None:
 )
 def test_clouds_without_a_path_are_unsure_or_refused(points: Array) -> None:
     assert is_unsure(points)
+
+
+@pytest.mark.parametrize(
+    ("name", "seed", "count", "reason"),
+    [
+        ("rose of four", 3, 120, "only 1 of 9 scales show these paths"),
+        ("trefoil in space", 5, 200, "only 3 of 10 scales show these paths"),
+        ("eight", 0, 120, "as many scales show 1 piece, 2 loops, 1 crossing"),
+    ],
+)
+def test_what_few_scales_show_is_unsure(name: str, seed: int, count: int, reason: str) -> None:
+    """Of these clouds of few noisy points at random none is found right."""
+    network = find_paths(PointCloud(SHAPES[name].sample(count, 0.05, random=True, seed=seed)))
+    assert topology(network) not in SHAPES[name].topologies
+    assert reason in str(network.unsure)
