@@ -15,12 +15,13 @@ from sgvf_drake.fields.analytic import check_positive
 from sgvf_drake.fields.base import FloatArray
 from sgvf_drake.fields.mixture import CHUNK_ENTRIES
 from sgvf_drake.fields.perceptron import Perceptron
+from sgvf_drake.paths.sections import KAPPA
 
 ONE_WAY_SHARPNESS = 1.5
 """kappa of a strand that has a direction: enough to go straight over a crossing of 10 degrees;
 at 0 the field would be that of the position alone."""
 
-TWO_WAY_SHARPNESS = 4.0
+TWO_WAY_SHARPNESS = KAPPA
 """kappa of a strand that is travelled either way.  Past its end, the strand ahead takes over to
 a distance of sigma sqrt(2 log cosh kappa), 2.6 sigma here, which has to stay within the three
 in which the projection acts: up to 5.2."""
