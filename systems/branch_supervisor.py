@@ -124,8 +124,8 @@ def BranchSupervisor_(T: type) -> Any:  # noqa: D103 (the class below says it)
         laps on this one, or at the end of an open one; the last is followed for good.  A
         tour that was interrupted by another wanted branch goes on where it was.
 
-        The abstract parameter (index `route_index`) holds the last route that was commanded,
-        an `Order`, or None.
+        The abstract parameter (index `route_index`) holds the last route that was commanded:
+        a tuple of one `Order`, or an empty one.
 
         The discrete state is the supervisor's `Memory`.  The commands are direct
         feed-through.  Under AutoDiffXd they have the derivatives for a given memory; what
@@ -196,7 +196,7 @@ def BranchSupervisor_(T: type) -> Any:  # noqa: D103 (the class below says it)
             if isinstance(field, SteerableField):
                 self._heading = self.DeclareVectorInputPort("heading", field.dim)
                 self._next_edge = self.DeclareVectorInputPort("next_edge", 1)
-            self.route_index = self.DeclareAbstractParameter(Value[object](None))
+            self.route_index = self.DeclareAbstractParameter(Value[object](()))
             self.parameter_index = self.DeclareNumericParameter(
                 BasicVector_[T]([ON_TOUR, laps, DEFAULT_HOLD_AFTER, DEFAULT_LAND_AFTER])
             )
@@ -235,8 +235,14 @@ def BranchSupervisor_(T: type) -> Any:  # noqa: D103 (the class below says it)
 
         def GetRoute(self, context: Any) -> Itinerary | None:
             """Returns the route that was commanded last; None if none was."""
-            order = context.get_abstract_parameter(self.route_index).get_value()
-            return None if order is None else order.route.course.itinerary
+            order = self._Order(context)
+            course = None if order is None else order.route.course
+            return None if course is None else course.itinerary
+
+        def _Order(self, context: Any) -> Order | None:
+            # In a tuple, since the newest Drake holds no None.
+            orders = context.get_abstract_parameter(self.route_index).get_value()
+            return orders[0] if orders else None
 
         def SetRoute(self, context: Any, route: Itinerary | str) -> None:
             """Commands a route in place of the itinerary of its branch, which is wanted then.
@@ -258,10 +264,10 @@ def BranchSupervisor_(T: type) -> Any:  # noqa: D103 (the class below says it)
             field: Any = self._supervision.field
             branch = BranchAlong(field, route)
             number = self._BranchOfPiece(branch)
-            parameter = context.get_mutable_abstract_parameter(self.route_index)
-            before = parameter.get_value()
+            before = self._Order(context)
             count = 1 if before is None else before.number + 1
-            parameter.SetFrom(Value[object](Order(count, number, branch)))
+            parameter = context.get_mutable_abstract_parameter(self.route_index)
+            parameter.SetFrom(Value[object]((Order(count, number, branch),)))
             self.SetBranch(context, number)
 
         def _BranchOfPiece(self, route: Branch) -> int:
@@ -342,7 +348,7 @@ def BranchSupervisor_(T: type) -> Any:  # noqa: D103 (the class below says it)
 
         def _SeeCommands(self, context: Any) -> tuple[FloatArray | None, int, Order | None]:
             """Returns the heading, the next edge and the order."""
-            order = context.get_abstract_parameter(self.route_index).get_value()
+            order = self._Order(context)
             if self._heading is None:
                 return None, 0, order
             heading = None
