@@ -143,7 +143,11 @@ def test_a_lap_needs_every_edge_in_order_and_near() -> None:
     whole, part = along(route, 1.9), along(route, 0.9)
     far = whole.copy()
     far[len(far) // 2 :, :, 0] += 0.5
-    for positions, lapped in ((whole, True), (part, False), (far, False)):
+    # Through all gates, and astray between them.
+    middles = np.array([edge.line.at(np.array([edge.length / 2]))[0] for edge in network.edges])
+    away = np.linalg.norm(whole - middles, axis=2).min(axis=1) > 1
+    astray = whole + 0.5 * away[:, None, None]
+    for positions, lapped in ((whole, True), (part, False), (far, False), (astray, False)):
         metrics = network_metrics(
             times_of(positions), positions, network, box_of(network), np.empty((0, 2))
         )
