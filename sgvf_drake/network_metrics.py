@@ -45,15 +45,16 @@ class NetworkMetrics:
         ended: Came to rest at the end of its open path, in order from where it came to it.
         stalled: Hardly moved in the end, and not at an end.
         left: Was outside `LEAVE_BOXES` boxes.
-        kind: Of the piece that it is near in the end: "closed path", "open path", "network".
+        kind: What the piece that it is near in the end is: "closed path", "open path" or
+            "network".
         rms: Root mean square of the distance from the edge in use: over the last lap, the way
             to the end, or, on a network, all the time since it came to it; NaN where it did
             not.
         maximum: The largest distance over the same time.
         errors: (T, n) the distances from the edges in use.
-        straight_fraction: Of the crossings, how many were driven straight over; None: none
+        straight_fraction: The part of the crossings driven straight over; None: none
             was passed.
-        turn_fraction: Of the nodes of the route, how many were left as it says; None: there
+        turn_fraction: The part of the nodes of the route left as it says; None: there
             is none, or none was passed.
     """
 

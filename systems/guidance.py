@@ -57,7 +57,7 @@ attitude bandwidth of the default controller: beyond about 8 the flight oscillat
 path, below it costs nothing measurable."""
 
 LENGTH_ROUNDING = 1e-9
-"""By which a heading may be longer than 1."""
+"""A heading may be longer than 1 by this, for rounding."""
 
 WIDENED_FIELDS = 8
 """Fields of other approach lengths that a system keeps, one for each speed in use."""
@@ -177,21 +177,31 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             sources = {state, parameters}
             self._intended: Any = None
             if isinstance(field, SteerableField):
-                self._intended = self.DeclareVectorInputPort("intended_direction", field.dim)
-                self.DeclareContinuousState(field.dim)
-                self._memory_length = field.with_memory().memory_length
-                sources |= {
-                    self.xc_ticket(),
-                    self.input_port_ticket(self._intended.get_index()),
-                }
+                sources |= self._DeclareHeading(field, sources)
             DeclareCommandPorts(self, T, self._CalcCommands, sources)
             self.DeclareVectorOutputPort("speed", 1, self._CalcSpeed, {parameters})
-            if self._intended is not None:
-                self.DeclareVectorOutputPort(
-                    "heading", field.dim, self._CopyHeading, {self.xc_ticket()}
-                )
 
         _construct_copy = ConstructCopy
+
+        def _DeclareHeading(self, field: SteerableField, sources: set[Any]) -> set[Any]:
+            """Declares what a directed field needs; returns what the commands depend on too."""
+            motion, heading = field.with_memory(), self.xc_ticket()
+            self._memory_length = motion.memory_length
+            self._intended = self.DeclareVectorInputPort("intended_direction", field.dim)
+            self.DeclareContinuousState(field.dim)
+            self.DeclareVectorOutputPort("heading", field.dim, self._CopyHeading, {heading})
+            # Shared by the commands and the rate of the heading, which are both asked for in
+            # every stage of the integrator.
+            size = motion.dim + motion.dim**2
+            self._motion = self.DeclareCacheEntry(
+                "motion",
+                ValueProducer(
+                    allocate=lambda: Value[BasicVector_[T]](BasicVector_[T](size)),
+                    calc=self._CalcMotion,
+                ),
+                {*sources, heading},
+            )
+            return {heading, self.input_port_ticket(self._intended.get_index())}
 
         @property
         def field(self) -> Field:
@@ -266,26 +276,26 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
         def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
             """Turns the heading."""
             if self._intended is not None:
-                motion = self._EvalMotion(context, self._state.Eval(context))
-                turn = self._Turn(context, motion)
+                turn = self._Turn(context, self._EvalMotion(context))
                 derivatives.get_mutable_vector().SetFromVector(self.GetSpeed(context) * turn)
 
-        def _EvalField(self, context: Any, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        def _EvalDirected(self, context: Any) -> tuple[np.ndarray, np.ndarray]:
             """Returns m and J by rows, (d + d^2,), and dm by the turn of the heading, (d,)."""
             d = self._field.dim
-            if self._intended is None:
-                flown = self._Flown(*self._ReadParameters(context)[2:])
-                return flown.evaluate(state[:d]), np.zeros(d)
-            motion = self._EvalMotion(context, state)
+            motion = self._EvalMotion(context)
             J = motion[2 * d : 2 * d + 2 * d * d].reshape(d, 2 * d)
             field = np.concatenate((motion[:d], J[:, :d].ravel()))
             return field, J[:, d:] @ self._Turn(context, motion)
 
-        def _EvalMotion(self, context: Any, state: np.ndarray) -> np.ndarray:
+        def _EvalMotion(self, context: Any) -> np.ndarray:
             """Returns F of place and heading, and its Jacobian by rows, (2d + 4d^2,)."""
+            return self._motion.Eval(context).CopyToVector()
+
+        def _CalcMotion(self, context: Any, motion: Any) -> None:
+            place = self._state.Eval(context)[: self._field.dim]
             flown = self._Flown(*self._ReadParameters(context)[2:])
-            y = np.concatenate((state[: self._field.dim], self.GetHeading(context)))
-            return flown.evaluate(y)
+            values = flown.evaluate(np.concatenate((place, self.GetHeading(context))))
+            motion.get_mutable_value().SetFromVector(values)
 
         def _Turn(self, context: Any, motion: np.ndarray) -> np.ndarray:
             """Returns by how much the heading turns, (d,) per metre."""
@@ -309,11 +319,14 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
 
         def _CalcCommands(self, context: Any) -> np.ndarray:
             state = self._state.Eval(context)
-            speed, altitude, _ = self._ReadParameters(context)
+            speed, altitude, approach_length = self._ReadParameters(context)
             CheckNonNegativeParameter("speed", speed)
-            field, turning = self._EvalField(context, state)
-            commands = self._Calc(field, state, speed, altitude)
-            if self._intended is not None:
+            if self._intended is None:
+                field = self._Flown(approach_length).evaluate(state[: self._field.dim])
+                commands = self._Calc(field, state, speed, altitude)
+            else:
+                field, turning = self._EvalDirected(context)
+                commands = self._Calc(field, state, speed, altitude)
                 # The heading turns at the commanded speed, whatever the vehicle's own.
                 commands[3 : 3 + len(turning)] += speed * speed * turning
             # Looked at afterwards: what is not finite has made all commands so.

@@ -168,7 +168,7 @@ def follow_network(
         progress: Is told how far the simulation is.
         route: Where the agents are to go, from the place of it that they come to; None: they
             go on as they are heading.
-        seed: Of the headings.
+        seed: The seed of the headings.
 
     Raises:
         ConfigurationError: If the duration is not one sample long, or no start is asked for.

@@ -47,7 +47,7 @@ class DirectedField(ScoreInducedField):
 
     @property
     def memory_length(self) -> float:
-        """Over which a heading turns to the tangent: a noise level, in the user's unit."""
+        """The distance over which a heading turns: a noise level, in the user's unit."""
         return self.sigma * self.cloud.unit_length
 
     def __call__(self, x: FloatArray, g: FloatArray | None = None) -> FloatArray:
@@ -124,7 +124,7 @@ class DirectedField(ScoreInducedField):
     def _value_and_jacobian(
         self, z: FloatArray, g: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """M (n, d) and its derivatives by the normalised point and g, (n, d, 2d)."""
+        """Returns m (n, d) and its derivatives by the normalised point and g, (n, d, 2d)."""
         return self._composed_and_jacobian(z, *self.strands.with_derivatives(z, g))
 
 
@@ -144,8 +144,7 @@ def check_position_alone(field: object) -> None:
 class HeldField(AnalyticField):
     """A directed field at constant intended directions: a field of the position alone.
 
-    What is computed of any guiding field can be computed of it: its flow, its zeros, its
-    derivatives.
+    It has the values and the derivatives of one, and can be drawn and followed as one.
     """
 
     def __init__(self, field: DirectedField, g: FloatArray) -> None:

@@ -26,7 +26,7 @@ STEP = 0.5
 """The way between two looks at where a robot is on its itinerary, in noise levels."""
 
 TOLERANCE = 1e-3
-"""Of the integration, in U."""
+"""The tolerance of the integration, in U."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,7 +26,7 @@ class ScoreStage:
     """How a recipe learns the score.
 
     Attributes:
-        losses: Of a network of (x, t), or of a function in its place.
+        losses: The loss terms for a network of (x, t), or for a function in its place.
         steps: Its optimisation.
         scale: What divides the outputs to make the score.
         scaled_inputs: Whether a network without features sees scaled inputs.

@@ -20,8 +20,8 @@ TIE = 1.5
 """Strands this much farther than the nearest one, in sigma, are told apart by the heading."""
 
 FIRST = SAMPLING
-"""Of strands that differ by less, in sigma, as those of an edge that is travelled twice, the
-first one is taken."""
+"""The first of several strands is taken whose distances differ by less than this, in sigma, as
+those of an edge that is travelled twice."""
 
 
 class NavigatorState(NamedTuple):

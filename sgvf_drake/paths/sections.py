@@ -22,13 +22,14 @@ BEND = math.radians(45)
 """The tangent is not farther from the intended direction, between nodes."""
 
 TURN = math.radians(40)
-"""By more a node is turned at; less is straight on, as for the crossings of a network."""
+"""A node is turned at if the line bends there by more; else it is passed straight on, as the
+crossings of a network are."""
 
 EXIT = 3.5
 """The direction behind a node is that of the chord over this many sigma."""
 
 MARGIN = 0.88
-"""Of the distance from a node at which the exit takes over, what is used."""
+"""The exit is intended from this share of the distance at which it takes over."""
 
 END = 1.5
 """An end, and a target, is reached this many sigma before it: agents rest before an end."""

@@ -8,6 +8,6 @@ from sgvf_drake.learning.recipes.robust import RobustRecipe
 RECIPES: dict[str, Recipe] = {
     recipe.name: recipe for recipe in (PaperRecipe(), RobustRecipe(), ExactRecipe())
 }
-"""By their names."""
+"""The recipes by their names."""
 
 __all__ = ["RECIPES", "Fitted", "Recipe"]

@@ -40,7 +40,7 @@ class Recipe(ABC):
 
     Attributes:
         name: As it is asked for.
-        defaults: Of the options of `TrainingConfig`; what is left out follows from the cloud.
+        defaults: Values of the options of `TrainingConfig`; others follow from the cloud.
         strand_defaults: The same for directed fields; None: it learns none.
         refused: Options that mean nothing in it, and why.
         learns_score: Whether it trains a score network.
