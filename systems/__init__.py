@@ -14,7 +14,7 @@ from systems.diagrams import (
     SetVehicleState,
 )
 from systems.guidance import FieldForSpeed, GuidanceSystem, GuidanceSystem_
-from systems.guidance_loop import AddGuidance, GuidanceParts
+from systems.guidance_loop import AddGuidance, GuidanceLoop
 from systems.kinematic import (
     KinematicGuidance,
     KinematicGuidance_,
@@ -41,9 +41,9 @@ from systems.quadrotor import QuadrotorParameters
 from systems.scene_drawing import DrawField, DrawTube, DrawWaypoints
 from systems.se3_law import Body, Gains
 from systems.sensing import (
-    AddMotionCapture,
     Dropout,
     Dropout_,
+    IdealMotionCapture,
     MotionCapture,
     SensorParameters,
 )
@@ -65,7 +65,6 @@ __all__ = [
     "AddFlightVisualization",
     "AddGuidance",
     "AddLyapunovMonitor",
-    "AddMotionCapture",
     "AddQuadrotorGeometry",
     "Body",
     "Branch",
@@ -83,9 +82,10 @@ __all__ = [
     "FlightTrail",
     "FlightVisualization",
     "Gains",
-    "GuidanceParts",
+    "GuidanceLoop",
     "GuidanceSystem",
     "GuidanceSystem_",
+    "IdealMotionCapture",
     "KinematicGuidance",
     "KinematicGuidance_",
     "LyapunovMonitor",

@@ -16,8 +16,8 @@ from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields.base import Field, SteerableField
 from sgvf_drake.paths.itinerary import Itinerary
 from systems.branches import Branch, BranchAlong, CheckBranches, CheckedBox, CheckTour
-from systems.guidance import DeclareCommandPorts
-from systems.quadrotor import POSITION, STATE_SIZE, VELOCITY, QuadrotorParameters
+from systems.guidance import CheckFlown, DeclareCommandPorts
+from systems.quadrotor import QuadrotorParameters
 from systems.scalars import (
     SCALARS,
     CheckFinite,
@@ -66,7 +66,8 @@ def BranchSupervisor_(T: type) -> Any:  # noqa: D103 (the class below says it)
 
             name: BranchSupervisor
             input_ports:
-            - state
+            - position
+            - velocity
             - velocity_command
             - acceleration_feedforward
             - speed
@@ -77,10 +78,10 @@ def BranchSupervisor_(T: type) -> Any:  # noqa: D103 (the class below says it)
             - mode
             - branch
 
-        The inputs are those of the controller and of `GuidanceSystem`: `state` (12),
-        `velocity_command` (3) in m/s and `acceleration_feedforward` (3) in m/s^2 in W, and
-        `speed` (1) in m/s.  `measurement_age` (1) is how old the last measurement is, in s;
-        not connected, it is always fresh.
+        The inputs are what `GuidanceSystem` sees and what it commands: `position` (3) in m,
+        `velocity` (3) in m/s, `velocity_command` (3) in m/s and `acceleration_feedforward` (3)
+        in m/s^2 in W, and `speed` (1) in m/s.  `measurement_age` (1) is how old the last
+        measurement is, in s; not connected, it is always fresh.
 
         The outputs `velocity_command` and `acceleration_feedforward` take the place of
         guidance's.  `mode` (1) is a `Mode` and `branch` (1) the number of the branch that is
@@ -161,10 +162,7 @@ def BranchSupervisor_(T: type) -> Any:  # noqa: D103 (the class below says it)
             converter: Any = None,
         ) -> None:
             LeafSystem_[T].__init__(self, converter=converter)
-            if field.dim not in (2, 3):
-                raise ConfigurationError(
-                    f"a vehicle needs a field of dimension 2 or 3, got {field.dim}"
-                )
+            CheckFlown(field)
             corners = CheckedBox(box, field.dim)
             CheckBranches(branches, field.dim, corners)
             CheckTour(tour, len(branches))
@@ -185,7 +183,8 @@ def BranchSupervisor_(T: type) -> Any:  # noqa: D103 (the class below says it)
             self._inputs = [
                 self.DeclareVectorInputPort(name, size)
                 for name, size in (
-                    ("state", STATE_SIZE),
+                    ("position", 3),
+                    ("velocity", 3),
                     ("velocity_command", 3),
                     ("acceleration_feedforward", 3),
                     ("speed", 1),
@@ -209,7 +208,7 @@ def BranchSupervisor_(T: type) -> Any:  # noqa: D103 (the class below says it)
 
         def _DeclareOutputs(self) -> None:
             memory = self.discrete_state_ticket(self._memory_index)
-            tickets = (self.input_port_ticket(port.get_index()) for port in self._inputs[:3])
+            tickets = (self.input_port_ticket(port.get_index()) for port in self._inputs[:4])
             DeclareCommandPorts(self, T, self._CalcCommands, {memory, *tickets})
             entries = {"mode": MODE, "branch": BRANCH}
             if self._heading is not None:
@@ -331,14 +330,14 @@ def BranchSupervisor_(T: type) -> Any:  # noqa: D103 (the class below says it)
             vector.SetFromVector(ToVector(T, memory.ToVector().tolist()))
 
         def _See(self, context: Any) -> Seen:
-            state, velocity_command, acceleration, speed, age = (
+            position, velocity, velocity_command, acceleration, speed, age = (
                 self._EvalFinite(context, port) for port in self._inputs
             )
             CheckNonNegativeParameter("speed", speed[0])
             return Seen(
                 ToFloat(context.get_time()),
-                state[POSITION],
-                state[VELOCITY],
+                position,
+                velocity,
                 velocity_command,
                 acceleration,
                 float(speed[0]),
@@ -373,10 +372,8 @@ def BranchSupervisor_(T: type) -> Any:  # noqa: D103 (the class below says it)
             return np.array(values)
 
         def _CalcCommands(self, context: Any) -> Any:
-            state, *guidance = (port.Eval(context) for port in self._inputs[:3])
-            commands = CalcCommands(
-                self._Vector(context), self._dim, state, np.concatenate(guidance)
-            )
+            motion = (port.Eval(context) for port in self._inputs[:4])
+            commands = CalcCommands(self._Vector(context), self._dim, *motion)
             if not math.isfinite(ToFloat(sum(commands))):
                 self._See(context)
             return commands

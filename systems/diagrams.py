@@ -11,22 +11,16 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator_, Simulator
 from pydrake.systems.framework import (
     Context,
     Diagram,
-    Diagram_,
     DiagramBuilder,
     OutputPort,
     System,
     System_,
 )
-from pydrake.systems.primitives import (
-    Demultiplexer,
-    LogVectorOutput,
-    PassThrough,
-    PassThrough_,
-)
+from pydrake.systems.primitives import Demultiplexer, LogVectorOutput
 
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
-from sgvf_drake.fields.base import Field, SteerableField
-from systems.guidance_loop import AddGuidance
+from sgvf_drake.fields.base import Field
+from systems.guidance_loop import REPORTS, AddGuidance, GuidanceLoop
 from systems.lyapunov_monitor import AddLyapunovMonitor, DifferentiableFunction
 from systems.quadrotor import STATE_SIZE, VELOCITY, QuadrotorParameters
 from systems.scalars import ToFloat
@@ -50,9 +44,9 @@ def MakeFlightDiagram(
 ) -> Diagram:
     """Returns the diagram of a quadrotor that follows a guiding vector field.
 
-    The systems are named "plant" (Drake's QuadrotorPlant), "motion_capture", "guidance"
-    and "controller", and the logs (VectorLogSink) "state_log", "velocity_command_log" and
-    "propeller_force_log"; see `AddGuidance`.  A log sees the commands that hold until its
+    The systems are named "plant" (Drake's QuadrotorPlant) and "guidance_loop", and the logs
+    (VectorLogSink) "state_log", "velocity_command_log" and "propeller_force_log"; see
+    `AddGuidance`.  A log sees the commands that hold until its
     sample: at a time of sampling, those of the sample before.  The output port `state` (12)
     is the plant's.  With a "supervisor" there are the logs "mode_log" and "branch_log" too, and
     with a directed field "edge_log" and "arc_log".
@@ -80,19 +74,12 @@ def MakeFlightDiagram(
     parameters = parameters or QuadrotorParameters()
     builder = DiagramBuilder()
     plant = builder.AddNamedSystem("plant", parameters.MakePlant())
-    parts = AddGuidance(builder, field, plant, parameters, **guidance)
+    loop = AddGuidance(builder, field, plant, parameters, **guidance)
     builder.ExportOutput(plant.GetOutputPort("state"), "state")
     if log_period is not None:
-        logged = [
-            plant.GetOutputPort("state"),
-            parts.velocity_command,
-            parts.controller.GetOutputPort("propeller_force"),
-        ]
-        if parts.supervisor is not None:
-            names = ["mode", "branch"]
-            names += ["edge", "arc"] if isinstance(field, SteerableField) else []
-            logged += [parts.supervisor.GetOutputPort(name) for name in names]
-        for port in logged:
+        names = ("velocity_command", "propeller_force", *REPORTS)
+        logged = (loop.GetOutputPort(name) for name in names if loop.HasOutputPort(name))
+        for port in (plant.GetOutputPort("state"), *logged):
             LogVectorOutput(port, builder, log_period).set_name(f"{port.get_name()}_log")
     if lyapunov is not None:
         AddLyapunovMonitor(
@@ -122,35 +109,44 @@ def _VelocityPort(builder: DiagramBuilder, plant: System, dim: int) -> OutputPor
     return parts.get_output_port(1)
 
 
-def SetHover(diagram: Diagram, context: Context, position: ArrayLike) -> None:
-    """Sets a flight to hover, level and at rest.
+def SetHover(
+    diagram: Diagram, context: Context, position: ArrayLike, loop: str | None = None
+) -> None:
+    """Sets a vehicle to hover, level and at rest.
 
     Args:
-        diagram: From `MakeFlightDiagram`, or any with systems "plant" and "motion_capture".
+        diagram: From `MakeFlightDiagram`, or any with a `GuidanceLoop`.
         context: The Context of the diagram.
         position: p_WB of shape (3,) in m.
+        loop: The name of the loop around the vehicle; None: there is only one.
 
     Raises:
-        ConfigurationError: if the shape is wrong.
+        ConfigurationError: if the shape is wrong, or as in `SetVehicleState`.
         NonFiniteValueError: if the position is not finite.
     """
     p_WB = np.asarray(position, dtype=np.float64)
     if p_WB.shape != (3,):
         raise ConfigurationError(f"position must have shape (3,), got {p_WB.shape}")
-    SetVehicleState(diagram, context, np.concatenate((p_WB, np.zeros(STATE_SIZE - 3))))
+    SetVehicleState(diagram, context, np.concatenate((p_WB, np.zeros(STATE_SIZE - 3))), loop)
 
 
-def SetVehicleState(diagram: Diagram, context: Context, state: ArrayLike) -> None:
-    """Sets the state of the vehicle, and of the motion capture that has just seen it.
+def SetVehicleState(
+    diagram: Diagram, context: Context, state: ArrayLike, loop: str | None = None
+) -> None:
+    """Sets the state of a vehicle, and of the motion capture that has just seen it.
+
+    Where only the plant's state is set, whatever is logged at the start sees a vehicle at the
+    origin.
 
     Args:
-        diagram: From `MakeFlightDiagram`, or any with systems "plant" and "motion_capture".
+        diagram: From `MakeFlightDiagram`, or any with a `GuidanceLoop`.
         context: The Context of the diagram.
         state: The state (12,), as QuadrotorPlant's.
+        loop: The name of the loop around the vehicle; None: there is only one.
 
     Raises:
-        ConfigurationError: if the shape is wrong, or the diagram is a converted or cloned one
-            with sensors.
+        ConfigurationError: if the shape is wrong, if there is no such loop, or if the diagram
+            is a converted or cloned one.
         NonFiniteValueError: if the state is not finite.
     """
     values: Any = np.asarray(state, dtype=np.float64)
@@ -158,44 +154,64 @@ def SetVehicleState(diagram: Diagram, context: Context, state: ArrayLike) -> Non
         raise ConfigurationError(f"state must have shape ({STATE_SIZE},), got {values.shape}")
     if not np.isfinite(values).all():
         raise NonFiniteValueError(f"the vehicle's state must be finite: {values.tolist()}")
-    plant = diagram.GetSubsystemByName("plant")
+    found = _FindLoop(diagram, loop)
+    plant = _FindPlant(diagram, found)
     plant.GetMyMutableContextFromRoot(context).SetContinuousState(values)
-    capture: Any = diagram.GetSubsystemByName("motion_capture")
-    if isinstance(capture, (PassThrough, PassThrough_[AutoDiffXd])):
-        return
-    _CheckBuilt(capture)
-    capture.SetVectorState(capture.GetMyMutableContextFromRoot(context), values)
+    found.SetVectorState(found.GetMyMutableContextFromRoot(context), values)
 
 
-def SetNoiseSeed(diagram: Diagram, context: Context, seed: int) -> None:
-    """Sets the seed of a flight's measurements, so that it repeats exactly.
+def SetNoiseSeed(
+    diagram: Diagram, context: Context, seed: int, loop: str | None = None
+) -> None:
+    """Sets the seed of a vehicle's measurements, so that a flight repeats exactly.
 
     Measurements without noise need none, and take none.
 
     Args:
-        diagram: From `MakeFlightDiagram`, or any with a system "motion_capture".
+        diagram: From `MakeFlightDiagram`, or any with a `GuidanceLoop`.
         context: The Context of the diagram.
         seed: Not negative.
+        loop: The name of the loop around the vehicle; None: there is only one.
 
     Raises:
-        ConfigurationError: if the diagram is a converted or cloned one with sensors.
+        ConfigurationError: if there is no such loop, or if the diagram is a converted or
+            cloned one.
     """
-    capture: Any = diagram.GetSubsystemByName("motion_capture")
-    _CheckBuilt(capture)
+    capture = _FindLoop(diagram, loop).motion_capture
     if isinstance(capture, MotionCapture):
         capture.SetNoiseSeed(capture.GetMyMutableContextFromRoot(context), seed)
 
 
-def _CheckBuilt(capture: Any) -> None:
-    """Raises ConfigurationError on what Drake has made of a `MotionCapture`."""
-    if isinstance(capture, (Diagram, Diagram_[AutoDiffXd])) and not isinstance(
-        capture, MotionCapture
-    ):
+def _FindLoop(diagram: Diagram, name: str | None) -> GuidanceLoop:
+    """Returns the loop of this name, or the only one."""
+    loops = {
+        system.get_name(): system
+        for system in diagram.GetSystems()
+        if isinstance(system, GuidanceLoop)
+    }
+    if name is None and len(loops) == 1:
+        name = next(iter(loops))
+    if name in loops:
+        return loops[name]
+    if not loops:
         raise ConfigurationError(
-            "converted or cloned sensors have no start and no seed to set: set them in a "
-            "Context of the diagram that was built, and take them over by "
+            "the diagram has no GuidanceLoop; for a converted or cloned one, set start and "
+            "seed in a Context of the diagram that was built, and take them over by "
             "SetTimeStateAndParametersFrom"
         )
+    raise ConfigurationError(
+        f"the diagram has the loops {', '.join(sorted(loops))}: "
+        + ("say which one" if name is None else f"none is {name!r}")
+    )
+
+
+def _FindPlant(diagram: Diagram, loop: GuidanceLoop) -> System:
+    """Returns what the propeller forces of a loop go to."""
+    port = loop.GetOutputPort("propeller_force").get_index()
+    for (target, _), source in diagram.connection_map().items():
+        if source == (loop, port) and target.HasOutputPort("state"):
+            return target
+    raise ConfigurationError(f"{loop.get_name()!r} commands no vehicle in this diagram")
 
 
 def MakeSimulator(diagram: Any, context: Any = None, step: float = INTEGRATION_STEP) -> Any:

@@ -12,14 +12,14 @@ from pydrake.systems.scalar_conversion import TemplateSystem
 
 from sgvf_drake.compiling import digest, kernel
 from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.fields import ParametricField
 from sgvf_drake.fields.base import (
     AdjustableField,
     CompilableField,
     Field,
     SteerableField,
 )
-from systems import quadrotor, scalars
-from systems.quadrotor import STATE_SIZE, VELOCITY
+from systems import scalars
 from systems.scalars import (
     SCALARS,
     CheckConstant,
@@ -80,6 +80,19 @@ def FieldForSpeed(field: Field, speed: float) -> Field:
     return field.with_approach_length(needed) if needed > field.approach_length else field
 
 
+def CheckFlown(field: Field | SteerableField) -> None:
+    """Raises ConfigurationError, with the reason, on a field that no vehicle can follow."""
+    if isinstance(field, ParametricField):
+        raise ConfigurationError(
+            "a parametric field is no field of places: its last coordinate is the parameter of "
+            "the curve, which a vehicle would take for an altitude"
+        )
+    if field.dim not in (2, 3):
+        raise ConfigurationError(
+            f"a vehicle needs a field of dimension 2 or 3, got {field.dim}"
+        )
+
+
 def _ApproachLength(field: Field, speed: Scalar) -> float:
     """Returns the approach length in m at which a vehicle follows a field, 0 if it has none."""
     if not isinstance(field, AdjustableField):
@@ -96,13 +109,14 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
 
             name: GuidanceSystem
             input_ports:
-            - state
+            - position
+            - velocity
             output_ports:
             - velocity_command
             - acceleration_feedforward
             - speed
 
-        `state` (12) is QuadrotorPlant's, in metres, radians and seconds; z is up.
+        `position` (3) is p_WB in m and `velocity` (3) is v_WB in m/s; z is up.
 
         `velocity_command` (3) is speed m(p_WB) in m/s, in W, with m of the paper's
         equation 3.
@@ -144,7 +158,7 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
         Raises:
             ConfigurationError: if an argument or a parameter cannot be used, or a
                 derivative by the approach length is asked for.
-            NonFiniteValueError: on evaluation, where the state or the field is not finite.
+            NonFiniteValueError: on evaluation, where an input or the field is not finite.
         """
 
         @remembered
@@ -157,10 +171,7 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             converter: Any = None,
         ) -> None:
             LeafSystem_[T].__init__(self, converter=converter)
-            if field.dim not in (2, 3):
-                raise ConfigurationError(
-                    f"a vehicle needs a field of dimension 2 or 3, got {field.dim}"
-                )
+            CheckFlown(field)
             CheckNonNegativeParameter("speed", speed)
             CheckFiniteParameter("altitude", altitude)
             self._field = field
@@ -168,13 +179,15 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             self._Flown = lru_cache(WIDENED_FIELDS)(partial(_Fly, field, T))
             self._feedforward = feedforward
             self._Calc = _CalcCommandsCompiled if T is float else _CalcCommandsInPython
-            self._state = self.DeclareVectorInputPort("state", STATE_SIZE)
+            self._position = self.DeclareVectorInputPort("position", 3)
+            self._velocity = self.DeclareVectorInputPort("velocity", 3)
             self.parameter_index = self.DeclareNumericParameter(
                 BasicVector_[T]([speed, altitude, _ApproachLength(field, speed)])
             )
-            state = self.input_port_ticket(self._state.get_index())
             parameters = self.all_parameters_ticket()
-            sources = {state, parameters}
+            sources = {parameters}
+            for port in (self._position, self._velocity):
+                sources.add(self.input_port_ticket(port.get_index()))
             self._intended: Any = None
             if isinstance(field, SteerableField):
                 sources |= self._DeclareHeading(field, sources)
@@ -292,7 +305,7 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             return self._motion.Eval(context).CopyToVector()
 
         def _CalcMotion(self, context: Any, motion: Any) -> None:
-            place = self._state.Eval(context)[: self._field.dim]
+            place = self._position.Eval(context)[: self._field.dim]
             flown = self._Flown(*self._ReadParameters(context)[2:])
             values = flown.evaluate(np.concatenate((place, self.GetHeading(context))))
             motion.get_mutable_value().SetFromVector(values)
@@ -318,20 +331,22 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             return context.get_numeric_parameter(self.parameter_index)
 
         def _CalcCommands(self, context: Any) -> np.ndarray:
-            state = self._state.Eval(context)
+            position = self._position.Eval(context)
+            velocity = self._velocity.Eval(context)
             speed, altitude, approach_length = self._ReadParameters(context)
             CheckNonNegativeParameter("speed", speed)
             if self._intended is None:
-                field = self._Flown(approach_length).evaluate(state[: self._field.dim])
-                commands = self._Calc(field, state, speed, altitude)
+                field = self._Flown(approach_length).evaluate(position[: self._field.dim])
+                commands = self._Calc(field, position, velocity, speed, altitude)
             else:
                 field, turning = self._EvalDirected(context)
-                commands = self._Calc(field, state, speed, altitude)
+                commands = self._Calc(field, position, velocity, speed, altitude)
                 # The heading turns at the commanded speed, whatever the vehicle's own.
                 commands[3 : 3 + len(turning)] += speed * speed * turning
             # Looked at afterwards: what is not finite has made all commands so.
             if not math.isfinite(ToFloat(commands[0])):
-                CheckFinite(self, context, self._state, ToList(state))
+                for port in (self._position, self._velocity):
+                    CheckFinite(self, context, port, ToList(port.Eval(context)))
                 CheckFinite(self, context, "the field's value or Jacobian", ToList(field))
                 CheckFinite(self, context, "the command", ToList(commands))
             if not self._feedforward:
@@ -390,11 +405,15 @@ def DeclareCommandPorts(
 
 @compilable
 def _CalcCommands(
-    field: np.ndarray, state: np.ndarray, speed: Scalar, altitude: Scalar, commands: np.ndarray
+    field: np.ndarray,
+    p_WB: np.ndarray,
+    v_WB: np.ndarray,
+    speed: Scalar,
+    altitude: Scalar,
+    commands: np.ndarray,
 ) -> np.ndarray:
-    """Fills in the commands (6,) from m and J by rows, the vehicle's state, the parameters."""
+    """Fills in the commands (6,) from m and J by rows, the vehicle's motion, the parameters."""
     dim = 2 if len(field) == 6 else 3
-    v_WB = state[VELOCITY]
     for i in range(dim):
         row = field[dim + dim * i :]
         J_v = row[0] * v_WB[0] + row[1] * v_WB[1]
@@ -403,17 +422,17 @@ def _CalcCommands(
         commands[i] = speed * field[i]
         commands[3 + i] = speed * J_v
     if dim == 2:
-        climb = Tanh(ALTITUDE_GAIN * (altitude - state[2]) / MAX_CLIMB_RATE)
+        climb = Tanh(ALTITUDE_GAIN * (altitude - p_WB[2]) / MAX_CLIMB_RATE)
         commands[2] = MAX_CLIMB_RATE * climb
         commands[5] = -ALTITUDE_GAIN * (1.0 - climb * climb) * v_WB[2]
     return commands
 
 
 def _CalcCommandsInPython(
-    field: np.ndarray, state: np.ndarray, speed: Scalar, altitude: Scalar
+    field: np.ndarray, p_WB: np.ndarray, v_WB: np.ndarray, speed: Scalar, altitude: Scalar
 ) -> np.ndarray:
-    commands = _CalcCommands(field, state, speed, altitude, np.empty(6, object))
-    if not all(map(math.isfinite, (*ToList(state), *ToList(commands)))):
+    commands = _CalcCommands(field, p_WB, v_WB, speed, altitude, np.empty(6, object))
+    if not all(map(math.isfinite, (*ToList(p_WB), *ToList(v_WB), *ToList(commands)))):
         commands[:] = np.nan
     return commands
 
@@ -421,19 +440,21 @@ def _CalcCommandsInPython(
 def _MakeCompiled(sources: int) -> Any:
     @kernel
     def calc_commands(
-        field: np.ndarray, state: np.ndarray, speed: float, altitude: float
+        field: np.ndarray, p_WB: np.ndarray, v_WB: np.ndarray, speed: float, altitude: float
     ) -> np.ndarray:
         sources  # noqa: B018 (enclosed to be in the key of the cache; see `digest`)
-        commands = _CalcCommands(field, state, speed, altitude, np.empty(6))
-        # Attitude and rates do not enter the commands, but must not pass as good either.
-        if not (np.isfinite(state).all() and np.isfinite(commands).all()):
+        commands = _CalcCommands(field, p_WB, v_WB, speed, altitude, np.empty(6))
+        # What does not enter a command must not pass as good either.
+        usable = np.isfinite(p_WB).all() and np.isfinite(v_WB).all()
+        if not (usable and np.isfinite(commands).all()):
             commands[:] = np.nan
         return commands
 
     return calc_commands
 
 
-_CalcCommandsCompiled = _MakeCompiled(digest(scalars, quadrotor))
+_CalcCommandsCompiled = _MakeCompiled(digest(scalars))
+"""The commands (6,), which are NaN where an input cannot be used."""
 
 
 class _FlownField(NamedTuple):

@@ -1,9 +1,9 @@
 """The loop around a vehicle: sensors, guidance, perhaps a supervisor, and controller."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
 from pydrake.examples import QuadrotorPlant
-from pydrake.systems.framework import DiagramBuilder, OutputPort, System
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPort, System
 
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields.base import Field, SteerableField
@@ -12,43 +12,130 @@ from systems.guidance import DEFAULT_ALTITUDE, DEFAULT_SPEED, GuidanceSystem
 from systems.quadrotor import QuadrotorParameters
 from systems.sensing import (
     DEFAULT_SAMPLE_PERIOD,
-    AddMotionCapture,
+    IdealMotionCapture,
     MotionCapture,
     SensorParameters,
 )
 
+MOTION = ("position", "velocity")
+"""Ports of a motion capture, of guidance and of a supervisor."""
+
 COMMANDS = ("velocity_command", "acceleration_feedforward")
 """Ports of guidance, of a supervisor and of the controller."""
 
+REPORTS = ("mode", "branch", "edge", "arc")
+"""Ports at which a supervisor tells what it does."""
 
-class GuidanceParts(NamedTuple):
-    """What `AddGuidance` adds to a diagram.
+
+class GuidanceLoop(Diagram):
+    """Makes a vehicle follow a path: what is between its state and its propellers.
+
+    .. pydrake_system::
+
+        name: GuidanceLoop
+        input_ports:
+        - state
+        output_ports:
+        - measured_state
+        - velocity_command
+        - acceleration_feedforward
+        - propeller_force
+
+    `state` (12) is what is measured, QuadrotorPlant's, and `propeller_force` (4) its input.
+    `measured_state` (12), `velocity_command` (3) in m/s and `acceleration_feedforward` (3) in
+    m/s^2 in W are what the controller is given.  What else a supervisor tells is an output too:
+    `mode`, `branch`, and on a directed field `edge` and `arc`.  What may stay unconnected is an
+    input: `next_edge` of a supervisor and, without sensors, its `measurement_age`; without a
+    supervisor `intended_direction` of guidance.
+
+    The systems inside have the names of the attributes.  Everything but the motion capture is
+    direct feed-through.  What Drake converts or clones is a plain Diagram of the same systems.
 
     Attributes:
-        guidance: The `GuidanceSystem`.
+        guidance: The `GuidanceSystem`, or the system in its place.
         controller: The `Se3Controller`.
-        motion_capture: The ZeroOrderHold that samples the vehicle's state; the PassThrough
-            in its place where nothing is sampled, or the `MotionCapture` with sensors.
+        motion_capture: The `IdealMotionCapture`, or with sensors the `MotionCapture`.
         supervisor: The `BranchSupervisor`, or None.
+
+    Args:
+        guidance: A system with input ports `position` (3) and `velocity` (3), and output
+            ports `velocity_command` (3) and `acceleration_feedforward` (3), in W and SI units.
+        controller: A system with these two as inputs, an input `state` (12) and an output
+            `propeller_force` (4).
+        motion_capture: An `IdealMotionCapture` or a `MotionCapture`.
+        supervisor: A `BranchSupervisor`, or None.
+
+    Raises:
+        ConfigurationError: if a port is missing.
     """
 
-    guidance: Any
-    controller: Any
-    motion_capture: Any
-    supervisor: Any
+    def __init__(
+        self, guidance: System, controller: System, motion_capture: Any, supervisor: Any = None
+    ) -> None:
+        super().__init__()
+        asked = COMMANDS if supervisor is None else (*COMMANDS, "speed")
+        _CheckPorts(guidance, "guidance", MOTION, asked)
+        builder = DiagramBuilder()
+        self.guidance: Any = builder.AddNamedSystem("guidance", guidance)
+        self.controller: Any = builder.AddNamedSystem("controller", controller)
+        self.motion_capture: Any = builder.AddNamedSystem("motion_capture", motion_capture)
+        self.supervisor: Any = None
+        _Connect(builder, motion_capture, guidance, *MOTION)
+        _Connect(builder, motion_capture, controller, "state")
+        if motion_capture.HasInputPort("acceleration"):
+            _Connect(builder, controller, motion_capture, "acceleration")
+        commander = guidance
+        if supervisor is not None:
+            commander = self.supervisor = builder.AddNamedSystem("supervisor", supervisor)
+            self._ConnectSupervisor(builder)
+        _Connect(builder, commander, controller, *COMMANDS)
+        builder.ExportInput(motion_capture.GetInputPort("state"), "state")
+        for system, name in (
+            (guidance, "intended_direction"),
+            (supervisor, "next_edge"),
+            (supervisor, "measurement_age"),
+        ):
+            if system is not None and system.HasInputPort(name):
+                port = system.GetInputPort(name)
+                if not builder.IsConnectedOrExported(port):
+                    builder.ExportInput(port, name)
+        builder.ExportOutput(motion_capture.GetOutputPort("state"), "measured_state")
+        for name in COMMANDS:
+            builder.ExportOutput(commander.GetOutputPort(name), name)
+        builder.ExportOutput(controller.GetOutputPort("propeller_force"), "propeller_force")
+        for name in REPORTS:
+            if supervisor is not None and supervisor.HasOutputPort(name):
+                builder.ExportOutput(supervisor.GetOutputPort(name), name)
+        builder.BuildInto(self)
 
-    @property
-    def velocity_command(self) -> OutputPort:
-        """The velocity that the controller is given."""
-        return (self.supervisor or self.guidance).GetOutputPort("velocity_command")
+    def _ConnectSupervisor(self, builder: DiagramBuilder) -> None:
+        capture, guidance, supervisor = self.motion_capture, self.guidance, self.supervisor
+        _Connect(builder, capture, supervisor, *MOTION)
+        _Connect(builder, guidance, supervisor, *COMMANDS, "speed")
+        if guidance.HasOutputPort("heading"):
+            _Connect(builder, guidance, supervisor, "heading")
+            _Connect(builder, supervisor, guidance, "intended_direction")
+        if capture.HasOutputPort("measurement_age"):
+            _Connect(builder, capture, supervisor, "measurement_age")
+
+    def SetVectorState(self, context: Context, state: Any) -> None:
+        """Makes the motion capture have seen a state.
+
+        Args:
+            context: This system's own.
+            state: The state (12,), as QuadrotorPlant's.
+        """
+        capture = self.motion_capture
+        capture.SetVectorState(self.GetMutableSubsystemContext(capture, context), state)
 
 
 def AddGuidance(
     builder: DiagramBuilder,
-    field: Field,
+    guidance: Field | SteerableField | System,
     plant: System,
     parameters: QuadrotorParameters | None = None,
     *,
+    name: str = "guidance_loop",
     speed: float = DEFAULT_SPEED,
     altitude: float = DEFAULT_ALTITUDE,
     sample_period: float = DEFAULT_SAMPLE_PERIOD,
@@ -57,25 +144,22 @@ def AddGuidance(
     sensors: SensorParameters | None = None,
     supervisor: Any = None,
     measured_port: OutputPort | None = None,
-) -> GuidanceParts:
+) -> GuidanceLoop:
     """Makes a vehicle in a diagram follow a guiding vector field.
 
-    Adds the systems "motion_capture", "guidance", "controller" and, if one is given,
-    "supervisor", and connects them in a loop with the plant.  Everything but the motion
-    capture is direct feed-through.
-
-    Name the plant "plant" to set the start with `SetHover` or `SetVehicleState`, which the
-    motion capture then knows too.  Where only the plant's state is set, whatever is logged
-    at the start sees a vehicle at the origin.
+    Adds a `GuidanceLoop` and connects it with the plant.  Several vehicles in one diagram have
+    a loop each, of different names.  See `SetHover` for the start.
 
     Args:
         builder: Is changed; `plant` is in it.
-        field: The guiding field, of dimension 2 or 3, in metres.
+        guidance: The guiding field, of dimension 2 or 3, in metres; or a system in the place of
+            `GuidanceSystem`, with the ports that `GuidanceLoop` asks for.
         plant: A QuadrotorPlant, or a system with its ports: input `propeller_force` (4)
             and output `state` (12).
         parameters: The vehicle.  By default those of the plant, if it is a QuadrotorPlant,
             with the paper's thrust-to-weight ratio.
-        speed: In m/s, at which the field is followed.
+        name: Of the loop, in the builder.
+        speed: In m/s, at which a field is followed.
         altitude: In m; only for a field of dimension 2.
         sample_period: Of an ideal motion capture, and so of the whole loop, in s; 0 leaves
             sampling out, so that the loop is continuous.
@@ -87,48 +171,61 @@ def AddGuidance(
             where a `Dropout` comes in.
 
     Returns:
-        The systems that were added.
+        The loop.
 
     Raises:
-        ConfigurationError: if an argument cannot be used.
+        ConfigurationError: if an argument cannot be used; then nothing was added.
     """
+    _CheckPlace(builder, plant, name)
     if parameters is None:
         if not isinstance(plant, QuadrotorPlant):
             raise ConfigurationError(
                 "parameters must be given for a plant that is not a QuadrotorPlant"
             )
         parameters = QuadrotorParameters.FromPlant(plant)
-    guidance = builder.AddNamedSystem(
-        "guidance", GuidanceSystem(field, speed, altitude, feedforward)
-    )
-    controller = builder.AddNamedSystem(
-        "controller", Se3Controller(parameters, saturate=saturate)
-    )
-    state_port = measured_port or plant.GetOutputPort("state")
-    capture: Any
-    if sensors is None:
-        capture = AddMotionCapture(builder, state_port, sample_period)
-        state = onboard = capture.get_output_port()
-    else:
-        capture = builder.AddNamedSystem("motion_capture", MotionCapture(sensors))
-        builder.Connect(state_port, capture.GetInputPort("state"))
-        state, onboard = (capture.GetOutputPort(n) for n in ("state", "onboard_state"))
-        _Connect(builder, controller, capture, "acceleration")
-    builder.Connect(state, guidance.GetInputPort("state"))
-    builder.Connect(onboard, controller.GetInputPort("state"))
-    commander = guidance
-    if supervisor is not None:
-        commander = builder.AddNamedSystem("supervisor", supervisor)
-        builder.Connect(state, supervisor.GetInputPort("state"))
-        _Connect(builder, guidance, supervisor, *COMMANDS, "speed")
-        if isinstance(field, SteerableField):
-            _Connect(builder, guidance, supervisor, "heading")
-            _Connect(builder, supervisor, guidance, "intended_direction")
-        if sensors is not None:
-            _Connect(builder, capture, supervisor, "measurement_age")
-    _Connect(builder, commander, controller, *COMMANDS)
-    _Connect(builder, controller, plant, "propeller_force")
-    return GuidanceParts(guidance, controller, capture, supervisor)
+    guide: Any = guidance
+    if not isinstance(guidance, System):
+        guide = GuidanceSystem(guidance, speed, altitude, feedforward)
+    capture = IdealMotionCapture(sample_period) if sensors is None else MotionCapture(sensors)
+    controller = Se3Controller(parameters, saturate=saturate)
+    loop = GuidanceLoop(guide, controller, capture, supervisor)
+    builder.AddNamedSystem(name, loop)
+    builder.Connect(measured_port or plant.GetOutputPort("state"), loop.GetInputPort("state"))
+    _Connect(builder, loop, plant, "propeller_force")
+    return loop
+
+
+def _CheckPlace(builder: DiagramBuilder, plant: System, name: str) -> None:
+    """Raises ConfigurationError unless a loop of this name can be put around the plant.
+
+    Drake ends the process on what is found out only when the diagram is built.
+    """
+    if builder.HasSubsystemNamed(name):
+        raise ConfigurationError(
+            f"the diagram has a system {name!r} already: choose another `name` for this loop"
+        )
+    if not any(system is plant for system in builder.GetSystems()):
+        raise ConfigurationError(f"the plant {plant.get_name()!r} is not in the builder")
+    _CheckPorts(plant, "the plant", ("propeller_force",), ("state",))
+    if builder.IsConnectedOrExported(plant.GetInputPort("propeller_force")):
+        raise ConfigurationError(
+            f"the propellers of {plant.get_name()!r} are commanded already"
+        )
+
+
+def _CheckPorts(
+    system: System, role: str, inputs: tuple[str, ...], outputs: tuple[str, ...]
+) -> None:
+    """Raises ConfigurationError unless a system has the ports of these names."""
+    for kind, names, has in (
+        ("input", inputs, system.HasInputPort),
+        ("output", outputs, system.HasOutputPort),
+    ):
+        for name in names:
+            if not has(name):
+                raise ConfigurationError(
+                    f"{role} needs an {kind} port {name!r}; {type(system).__name__} has none"
+                )
 
 
 def _Connect(builder: DiagramBuilder, source: System, target: System, *names: str) -> None:

@@ -26,7 +26,7 @@ from pydrake.systems.primitives import (
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 from sgvf_drake.exceptions import ConfigurationError
-from systems.quadrotor import ATTITUDE, POSITION, RATES, VELOCITY
+from systems.quadrotor import ATTITUDE, POSITION, RATES, STATE_SIZE, VELOCITY
 from systems.scalars import SCALARS, ConstructCopy, ToFloat, remembered
 from systems.state_estimator import DEFAULT_BANDWIDTH, StateEstimator
 
@@ -94,19 +94,19 @@ class MotionCapture(Diagram):
         - state
         - acceleration
         output_ports:
+        - position
+        - velocity
         - state
-        - onboard_state
         - measurement_age
 
     The input `state` (12) is the true one, QuadrotorPlant's; an entry of the position that
     is not finite is a lost measurement.  `acceleration` (3) in m/s^2 in W is the vehicle's, as
     an accelerometer tells it: `Se3Controller` has it; see `StateEstimator`.
 
-    Both output states (12) have the position and velocity that the estimator makes of the
-    positions of the motion capture.  In `state` the attitude and its rates are sampled with
-    them, which is what guidance needs; in `onboard_state` they are sampled at the on-board
-    rate, for the controller.  `measurement_age` (1) is the age of what was last measured in
-    s.  None is a direct feed-through.
+    `position` (3) in m and `velocity` (3) in m/s are what the estimator makes of the positions
+    of the motion capture, for guidance.  The output `state` (12) has them too, with attitude
+    and rates that are sampled at the on-board rate, for the controller.  `measurement_age` (1)
+    is the age of what was last measured in s.  None is a direct feed-through.
 
     The noise is Drake's `RandomSource`; see `SetNoiseSeed`.
 
@@ -123,28 +123,23 @@ class MotionCapture(Diagram):
         position, attitude, _, rates = (parts.get_output_port(i) for i in range(4))
         self._estimator = self._AddEstimator(builder, position)
         self._holds: list[tuple[Any, slice]] = []
-        estimate = (
-            self._estimator.GetOutputPort("position"),
-            self._estimator.GetOutputPort("velocity"),
-        )
-        for name, period in (
-            ("state", parameters.sample_period),
-            ("onboard_state", parameters.onboard_period),
+        estimate = [self._estimator.GetOutputPort(name) for name in ("position", "velocity")]
+        held = []
+        for name, port, noise, entries in (
+            ("attitude", attitude, parameters.attitude_noise, ATTITUDE),
+            ("rates", rates, parameters.rate_noise, RATES),
         ):
-            held = []
-            for part, port, noise, entries in (
-                ("attitude", attitude, parameters.attitude_noise, ATTITUDE),
-                ("rates", rates, parameters.rate_noise, RATES),
-            ):
-                noisy = _AddNoise(builder, port, f"{name}_{part}", noise, period)
-                hold = builder.AddNamedSystem(f"{name}_{part}", ZeroOrderHold(period, 3))
-                builder.Connect(noisy, hold.get_input_port())
-                self._holds.append((hold, entries))
-                held.append(hold.get_output_port())
-            whole = builder.AddNamedSystem(name, Concatenation([3, 3, 3, 3]))
-            for index, port in enumerate((estimate[0], held[0], estimate[1], held[1])):
-                builder.Connect(port, whole.get_input_port(index))
-            builder.ExportOutput(whole.get_output_port(), name)
+            noisy = _AddNoise(builder, port, name, noise, parameters.onboard_period)
+            hold = builder.AddNamedSystem(name, ZeroOrderHold(parameters.onboard_period, 3))
+            builder.Connect(noisy, hold.get_input_port())
+            self._holds.append((hold, entries))
+            held.append(hold.get_output_port())
+        whole = builder.AddNamedSystem("state", Concatenation([3, 3, 3, 3]))
+        for index, port in enumerate((estimate[0], held[0], estimate[1], held[1])):
+            builder.Connect(port, whole.get_input_port(index))
+        for port in estimate:
+            builder.ExportOutput(port, port.get_name())
+        builder.ExportOutput(whole.get_output_port(), "state")
         builder.ExportOutput(
             self._estimator.GetOutputPort("measurement_age"), "measurement_age"
         )
@@ -213,31 +208,58 @@ class MotionCapture(Diagram):
         return estimator
 
 
-def AddMotionCapture(
-    builder: DiagramBuilder,
-    state_port: OutputPort,
-    period: float = DEFAULT_SAMPLE_PERIOD,
-    name: str = "motion_capture",
-) -> Any:
-    """Adds an ideal motion capture: it samples a state and holds it for one period.
+class IdealMotionCapture(Diagram):
+    """Motion capture that samples the whole state at once, without noise or delay.
 
-    The first sample is taken when a simulation starts to advance; until then the hold
-    shows a state of zeros, unless `SetVehicleState` or `SetHover` has set it.
+    .. pydrake_system::
+
+        name: IdealMotionCapture
+        input_ports:
+        - state
+        output_ports:
+        - state
+        - position
+        - velocity
+
+    The ports are those of `MotionCapture`.  The first sample is taken when a simulation starts
+    to advance; until then it shows zeros, unless `SetVectorState` was called.
 
     Args:
-        builder: Is changed.
-        state_port: The state that is measured.
-        period: In s; 0 passes the state through in continuous time.
-        name: Of the system.
-
-    Returns:
-        Drake's ZeroOrderHold or PassThrough, connected to `state_port`.
+        period: In s, for which a sample is held; 0 passes the state through in continuous time.
     """
-    size = state_port.size()
-    hold: Any = ZeroOrderHold(period, size) if period > 0.0 else PassThrough(size)
-    builder.AddNamedSystem(name, hold)
-    builder.Connect(state_port, hold.get_input_port())
-    return hold
+
+    def __init__(self, period: float = DEFAULT_SAMPLE_PERIOD) -> None:
+        super().__init__()
+        builder = DiagramBuilder()
+        parts = builder.AddNamedSystem("state_parts", Demultiplexer([3, 3, 3, 3]))
+        builder.ExportInput(parts.get_input_port(), "state")
+        self._holds: list[tuple[Any, slice]] = []
+        for name, entries, part in (
+            ("state", slice(STATE_SIZE), None),
+            ("position", POSITION, parts.get_output_port(0)),
+            ("velocity", VELOCITY, parts.get_output_port(2)),
+        ):
+            size = STATE_SIZE if part is None else part.size()
+            hold: Any = ZeroOrderHold(period, size) if period > 0.0 else PassThrough(size)
+            builder.AddNamedSystem(name, hold)
+            if part is None:
+                builder.ConnectInput("state", hold.get_input_port())
+            else:
+                builder.Connect(part, hold.get_input_port())
+            builder.ExportOutput(hold.get_output_port(), name)
+            if period > 0.0:
+                self._holds.append((hold, entries))
+        builder.BuildInto(self)
+
+    def SetVectorState(self, context: Context, state: Any) -> None:
+        """Sets the sample that is held.
+
+        Args:
+            context: This system's own.
+            state: The state (12,), as QuadrotorPlant's.
+        """
+        for hold, entries in self._holds:
+            hold.SetVectorState(self.GetMutableSubsystemContext(hold, context), state[entries])
 
 
 @TemplateSystem.define("Dropout_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]

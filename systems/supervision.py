@@ -25,7 +25,6 @@ from systems.branches import (
     Transfer,
 )
 from systems.courses import Course, Detour, Spot
-from systems.quadrotor import POSITION, VELOCITY
 from systems.scalars import Scalar, Sqrt, ToFloat
 
 ON_TOUR = -2
@@ -571,20 +570,27 @@ def DetourBranch(course: Course, first: int, second: int, rejoin: int) -> Branch
 
 
 def CalcCommands(
-    memory: np.ndarray, dim: int, state: np.ndarray, guidance: np.ndarray
+    memory: np.ndarray,
+    dim: int,
+    position: np.ndarray,
+    velocity: np.ndarray,
+    velocity_command: np.ndarray,
+    acceleration: np.ndarray,
 ) -> list[Scalar]:
     """Returns the commands (6,): a mean of guidance's and of the reference's.
 
     Args:
         memory: `Memory` as a vector.
         dim: Number of axes, the first ones, that are the supervisor's; all for a landing.
-        state: The vehicle's (12,).
-        guidance: Its velocity command and its feed-forward, (6,).
+        position: The vehicle's (3,).
+        velocity: The vehicle's (3,).
+        velocity_command: Guidance's (3,).
+        acceleration: Guidance's feed-forward (3,).
     """
     _, w, scale, scale_rate = memory[: _REFERENCE.start].tolist()
     p_ref, v_ref, a_ref = memory[_REFERENCE].reshape(3, 3).tolist()
-    position, velocity = state[POSITION].tolist(), state[VELOCITY].tolist()
-    v, a = guidance[:3].tolist(), guidance[3:].tolist()
+    position, velocity = position.tolist(), velocity.tolist()
+    v, a = velocity_command.tolist(), acceleration.tolist()
     guided = range(3 if ToFloat(memory[MODE]) == Mode.LAND else dim)
     errors = [p_ref[i] - position[i] for i in guided]
     stretch = sum((e * e for e in errors), 0.0) * (POSITION_GAIN / MAX_CORRECTION) ** 2

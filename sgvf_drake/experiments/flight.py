@@ -325,7 +325,8 @@ def simulate(
     context = simulator.get_mutable_context()
     SetHover(diagram, context, spec.start)
     if heading is not None:
-        guidance: Any = diagram.GetSubsystemByName("guidance")
+        loop: Any = diagram.GetSubsystemByName("guidance_loop")
+        guidance = loop.guidance
         guidance.SetHeading(guidance.GetMyMutableContextFromRoot(context), heading)
     SetNoiseSeed(diagram, context, spec.seed)
     watch = None if lyapunov is None else StopOnExit(simulator)

@@ -19,11 +19,10 @@ import numpy as np
 import pandas as pd
 import psutil
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
-from pydrake.systems.primitives import ConstantVectorSource, LogVectorOutput
+from pydrake.systems.primitives import ConstantVectorSource, LogVectorOutput, ZeroOrderHold
 import pytest
 
 from systems import (
-    AddMotionCapture,
     MakeFlightDiagram,
     MakeSimulator,
     QuadrotorParameters,
@@ -62,7 +61,8 @@ def make_ceiling_diagram(in_python):
     """The flight diagram without guidance and controller: same plant, hold and logs."""
     builder = DiagramBuilder()
     plant = builder.AddNamedSystem("plant", QuadrotorParameters().MakePlant())
-    hold = AddMotionCapture(builder, plant.GetOutputPort("state"), SAMPLE_PERIOD)
+    hold = builder.AddSystem(ZeroOrderHold(SAMPLE_PERIOD, 12))
+    builder.Connect(plant.GetOutputPort("state"), hold.get_input_port())
     if in_python:
         controller = builder.AddSystem(EmptyController())
         builder.Connect(hold.get_output_port(), controller.GetInputPort("state"))

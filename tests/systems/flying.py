@@ -194,7 +194,7 @@ class Flight:
         self.supervisor = None
         if supervisor is not None:
             self.supervisor = BranchSupervisor(field, branches, **supervisor)
-        self.parts = AddGuidance(
+        self.loop = AddGuidance(
             builder,
             field,
             self.plant,
@@ -203,17 +203,17 @@ class Flight:
             measured_port=measured,
             **options,
         )
-        self.guidance, self.controller = self.parts.guidance, self.parts.controller
+        self.guidance, self.controller = self.loop.guidance, self.loop.controller
         ports = {
             "state": self.plant.GetOutputPort("state"),
-            "force": self.controller.GetOutputPort("propeller_force"),
-            "command": self.parts.velocity_command,
+            "force": self.loop.GetOutputPort("propeller_force"),
+            "command": self.loop.GetOutputPort("velocity_command"),
         }
         if options.get("sensors"):
-            ports["estimate"] = self.parts.motion_capture.GetOutputPort("state")
+            ports["estimate"] = self.loop.GetOutputPort("measured_state")
         if self.supervisor is not None:
             for name in ("mode", "branch", "acceleration_feedforward"):
-                ports[name] = self.supervisor.GetOutputPort(name)
+                ports[name] = self.loop.GetOutputPort(name)
         self.logs = {
             name: LogVectorOutput(port, builder, log_period) for name, port in ports.items()
         }

@@ -9,7 +9,6 @@ import pytest
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
 from systems import HOLD_POSITION, Branch, Mode, supervision
 from systems.branch_supervisor import BranchSupervisor
-from systems.quadrotor import VELOCITY
 from systems.supervision import MAX_CORRECTION, POSITION_GAIN, Memory
 
 from .flying import (
@@ -30,7 +29,8 @@ BOX = ([-2.5, -2.5], [2.5, 2.5])
 LIMIT = 0.4 * PARAMETERS.max_horizontal_acceleration
 COMMAND = SPEED * np.array([0.0, 1.0, 0.0])
 INPUTS = {
-    "state": np.concatenate(([1.1, 0.3, 1.2], np.full(3, 0.05), [0.2, 0.3, -0.1], np.zeros(3))),
+    "position": np.array([1.1, 0.3, 1.2]),
+    "velocity": np.array([0.2, 0.3, -0.1]),
     "velocity_command": np.array([0.3, -0.1, 0.2]),
     "acceleration_feedforward": np.array([0.2, 0.4, -0.1]),
     "speed": np.array([SPEED]),
@@ -65,7 +65,7 @@ def commands(system, context):
 
 def moving(velocity, radius=1.0):
     """A vehicle on the x axis."""
-    return np.array([radius, 0.0, 1.0, 0.0, 0.0, 0.0, *velocity, 0.0, 0.0, 0.0])
+    return {"position": np.array([radius, 0.0, 1.0]), "velocity": np.array(velocity)}
 
 
 def test_guidance_passes_unchanged_before_anything_is_seen():
@@ -75,7 +75,7 @@ def test_guidance_passes_unchanged_before_anything_is_seen():
 
 @pytest.mark.parametrize("velocity", [[0.02, SPEED - 0.03, 0.0], [0.4, 0.1, 0.0]])
 def test_stop_begins_with_the_command_unless_the_vehicle_moves_otherwise(velocity):
-    system, context = at_rest(state=moving(velocity), velocity_command=COMMAND)
+    system, context = at_rest(**moving(velocity), velocity_command=COMMAND)
     see(system, context)
     system.SetBranch(context, HOLD_POSITION)
     memory = see(system, context)
@@ -91,7 +91,7 @@ def test_landing_begins_with_the_climb_rate_that_is_commanded():
     command = SPEED * np.array([0.0, 0.8, 0.6])
     system, context = at_rest(
         BranchSupervisor(spatial_rings(), (ring,)),
-        state=moving(command),
+        **moving(command),
         velocity_command=command,
     )
     see(system, context)
@@ -105,8 +105,8 @@ def test_landing_begins_with_the_climb_rate_that_is_commanded():
 @pytest.mark.parametrize(("velocity", "rate"), [(0.0, 0.1 * LIMIT / 12), (12.0, -LIMIT / 12)])
 def test_speed_moves_as_the_thrust_allows(velocity, rate):
     system = BranchSupervisor(ONE_RING, RINGS[:1])
-    state = moving([0.0, velocity, 0.0])
-    system, context = at_rest(system, state=state, speed=np.array([12.0]))
+    motion = moving([0.0, velocity, 0.0])
+    system, context = at_rest(system, **motion, speed=np.array([12.0]))
     memory = see(system, context)
     assert memory.scale_rate == pytest.approx(rate, rel=1e-9)
     # The feed-forward is the rate of the scaled command, by the product rule.
@@ -118,7 +118,7 @@ def test_speed_moves_as_the_thrust_allows(velocity, rate):
 
 @pytest.mark.parametrize(("branch", "start"), [(0, 2.0), (1, 1.0)])
 def test_transfer_is_flown_at_a_speed_that_its_branch_allows(branch, start):
-    system, context = at_rest(state=moving(np.zeros(3), start), speed=np.array([12.0]))
+    system, context = at_rest(**moving(np.zeros(3), start), speed=np.array([12.0]))
     system.SetBranch(context, branch)
     memory = see(system, context)
     assert memory.mode == Mode.TRANSFER
@@ -128,18 +128,18 @@ def test_transfer_is_flown_at_a_speed_that_its_branch_allows(branch, start):
 
 @pytest.mark.parametrize(("radius", "flown"), [(1.1, 0.4 * 0.01), (0.5, 0.0)])
 def test_distance_is_counted_on_the_branch_only(radius, flown):
-    state = moving([0.3, 0.4, 0.1], radius)
-    memory = see(*at_rest(state=state, velocity_command=COMMAND))
+    motion = moving([0.3, 0.4, 0.1], radius)
+    memory = see(*at_rest(**motion, velocity_command=COMMAND))
     assert memory.flown == pytest.approx(flown, abs=1e-12)
 
 
 def test_reference_is_corrected_in_proportion_and_not_without_limit():
-    system, context = at_rest(state=moving([0.0, 0.4, 0.0]))
+    system, context = at_rest(**moving([0.0, 0.4, 0.0]))
     system.SetBranch(context, HOLD_POSITION)
     memory = see(system, context)
     off = moving([0.1, 0.2, 0.0])
-    off[:2] = memory.position[:2] + np.array([1e-5, -2e-5])
-    fix_inputs(system, context, state=off)
+    off["position"][:2] = memory.position[:2] + np.array([1e-5, -2e-5])
+    fix_inputs(system, context, **off)
     v_ref, a_ref = memory.velocity[:2], memory.acceleration[:2]
     output = commands(system, context)
     np.testing.assert_allclose(output[:2], v_ref + POSITION_GAIN * np.array([-1e-5, 2e-5]))
@@ -147,8 +147,8 @@ def test_reference_is_corrected_in_proportion_and_not_without_limit():
         output[3:5], a_ref + POSITION_GAIN * (v_ref - [0.1, 0.2]), rtol=1e-6
     )
     assert output[2] == INPUTS["velocity_command"][2]
-    off[:2] = memory.position[:2] + np.array([300.0, 400.0])
-    fix_inputs(system, context, state=off)
+    off["position"][:2] = memory.position[:2] + np.array([300.0, 400.0])
+    fix_inputs(system, context, **off)
     correction = commands(system, context)[:2] - v_ref
     np.testing.assert_allclose(correction, MAX_CORRECTION * np.array([-0.6, -0.8]), rtol=1e-4)
 
@@ -167,7 +167,7 @@ def test_modes_follow_the_ages_that_are_set():
 def test_measurement_is_fresh_where_its_age_is_not_connected():
     system = BranchSupervisor(TWO_RINGS, RINGS)
     context = system.CreateDefaultContext()
-    for name in list(INPUTS)[:4]:
+    for name in list(INPUTS)[:5]:
         system.GetInputPort(name).FixValue(context, INPUTS[name])
     assert see(system, context).mode == Mode.FOLLOW
 
@@ -197,11 +197,11 @@ def test_gradients_agree_with_differences(age):
     converted = autodiff.CreateDefaultContext()
     converted.SetTimeStateAndParametersFrom(context)
     # Off the reference, so that the correction counts.
-    x = np.concatenate([INPUTS[name] for name in list(INPUTS)[:3]])
+    x = np.concatenate([INPUTS[name] for name in list(INPUTS)[:4]])
     x[:3] += [0.2, -0.3, 0.1]
 
     def evaluate(values, system=system, context=context):
-        for name, part in zip(INPUTS, np.split(values, [12, 15]), strict=False):
+        for name, part in zip(INPUTS, np.split(values, [3, 6, 9]), strict=False):
             system.GetInputPort(name).FixValue(context, part)
         return commands(system, context)
 
@@ -209,7 +209,7 @@ def test_gradients_agree_with_differences(age):
     np.testing.assert_allclose([v.value() for v in output], evaluate(x), rtol=1e-12)
     expected = differences(evaluate, x)
     np.testing.assert_allclose(ExtractGradient(output.reshape(-1, 1)), expected, atol=1e-7)
-    assert np.abs(expected[:, VELOCITY]).max() > 0.5 or age == 0.0
+    assert np.abs(expected[:, 3:6]).max() > 0.5 or age == 0.0
 
 
 def test_autodiff_decides_as_float_does():

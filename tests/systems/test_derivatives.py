@@ -23,6 +23,7 @@ from systems import (
     SetPositions,
     SetVehicleState,
 )
+from systems.quadrotor import POSITION, VELOCITY
 
 from .flying import PARAMETERS, SPEED, differences, order
 
@@ -62,9 +63,9 @@ def make_rate(diagram, context=None):
 
 
 def propeller_forces(diagram, context):
-    controller = diagram.GetSubsystemByName("controller")
-    port = controller.GetOutputPort("propeller_force")
-    return port.Eval(controller.GetMyContextFromRoot(context)).copy()
+    loop = diagram.GetSubsystemByName("guidance_loop")
+    port = loop.GetOutputPort("propeller_force")
+    return port.Eval(loop.GetMyContextFromRoot(context)).copy()
 
 
 def errors_of_differences(rate, x, A, steps=STEPS):
@@ -153,12 +154,12 @@ def set_variables(diagram, context, variables):
     """Sets start, gains and speed, of either scalar type."""
     state, gains, speed = np.split(variables, [12, 16])
     if context.num_discrete_state_groups():
-        hold = diagram.GetSubsystemByName("motion_capture")
-        hold.SetVectorState(hold.GetMyMutableContextFromRoot(context), state)
+        for group, part in enumerate((state, state[POSITION], state[VELOCITY])):
+            context.SetDiscreteState(group, part)
     context.SetContinuousState(state)
-    controller = diagram.GetSubsystemByName("controller")
+    loop = diagram.GetSubsystemByName("guidance_loop")
+    guidance, controller = map(loop.GetSubsystemByName, ("guidance", "controller"))
     controller.SetGains(controller.GetMyMutableContextFromRoot(context), Gains(*gains))
-    guidance = diagram.GetSubsystemByName("guidance")
     guidance.SetSpeed(guidance.GetMyMutableContextFromRoot(context), speed[0])
 
 

@@ -47,7 +47,8 @@ def eight() -> DirectedField:
 
 def guide(system, state, heading, intended=None):
     context = system.CreateDefaultContext()
-    system.GetInputPort("state").FixValue(context, state)
+    system.GetInputPort("position").FixValue(context, state[:3])
+    system.GetInputPort("velocity").FixValue(context, state[6:9])
     if intended is not None:
         system.GetInputPort("intended_direction").FixValue(context, intended)
     system.SetHeading(context, heading)
@@ -80,7 +81,7 @@ def test_a_loop_with_a_heading_is_linearised(tee):
     """The error of differences falls with the square of their step, to all states."""
     diagram = MakeFlightDiagram(tee, speed=SPEED, sample_period=0.0, log_period=None)
     context = diagram.CreateDefaultContext()
-    guidance = diagram.GetSubsystemByName("guidance")
+    guidance = diagram.GetSubsystemByName("guidance_loop").guidance
     SetHover(diagram, context, [0.5, 3.9, 1.0])
     guidance.SetHeading(guidance.GetMyContextFromRoot(context), HEADING)
     x = context.get_continuous_state_vector().CopyToVector()
@@ -100,7 +101,8 @@ def test_gradients_pass_through_the_intended_direction(tee):
     system = GuidanceSystem(tee, SPEED).ToAutoDiffXd()
     context = system.CreateDefaultContext()
     variables = InitializeAutoDiff(np.array([0.3, 0.9]))
-    system.GetInputPort("state").FixValue(context, [AutoDiffXd(v) for v in STATE])
+    for name, part in (("position", STATE[:3]), ("velocity", STATE[6:9])):
+        system.GetInputPort(name).FixValue(context, [AutoDiffXd(v) for v in part])
     system.GetInputPort("intended_direction").FixValue(context, variables.ravel())
     system.SetHeading(context, HEADING)
     rate = system.EvalTimeDerivatives(context).CopyToVector()
@@ -130,7 +132,7 @@ def test_an_eight_is_flown_straight_over_its_crossing(eight):
     route = covering(field.network)
     start, ahead = route.line.at(np.array([0.0, 0.02]))
     SetHover(diagram, context, [*start, 1.0])
-    guidance = diagram.GetSubsystemByName("guidance")
+    guidance = diagram.GetSubsystemByName("guidance_loop").guidance
     heading = (ahead - start) / np.linalg.norm(ahead - start)
     guidance.SetHeading(guidance.GetMyContextFromRoot(context), heading)
     simulator.AdvanceTo(1.3 * route.length / SPEED + 1.0)

@@ -6,13 +6,14 @@ import numpy as np
 from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
 from pydrake.examples import QuadrotorPlant
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import DiscreteTimeDelay, PassThrough, ZeroOrderHold
+from pydrake.systems.primitives import DiscreteTimeDelay
 import pytest
 
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
 from systems import (
     AddGuidance,
     BranchSupervisor,
+    IdealMotionCapture,
     MakeFlightDiagram,
     MakeSimulator,
     MotionCapture,
@@ -21,12 +22,13 @@ from systems import (
     SetNoiseSeed,
     SetVehicleState,
 )
-from systems.quadrotor import VELOCITY
+from systems.quadrotor import POSITION, VELOCITY
 
 from .flying import LAP, PARAMETERS, RINGS, STATE, CircleField, Flight, differences, rms
 
 SENSORS = SensorParameters()
 START = (1.0, 0.0, 1.0)
+MOTION = ("position", "velocity")
 COMMANDS = ("velocity_command", "acceleration_feedforward")
 
 
@@ -37,7 +39,8 @@ def connections(flight):
             source.get_name(),
             source.get_output_port(out).get_name(),
         )
-        for (to, into), (source, out) in flight.diagram.connection_map().items()
+        for diagram in (flight.diagram, flight.loop)
+        for (to, into), (source, out) in diagram.connection_map().items()
         if to not in flight.logs.values()
     }
 
@@ -49,20 +52,20 @@ def test_everything_is_connected(circle_field, sensors, supervisor, lost):
     flight = Flight(
         circle_field, branches=RINGS[:1], supervisor=supervisor, sensors=sensors, lost=lost
     )
-    state = ("motion_capture", "state" if sensors else "y")
-    seen = ("motion_capture", "state" if sensors else "u")
-    commander = "guidance" if supervisor is None else "supervisor"
+    seen, commander = ("guidance_loop", "state"), "guidance"
+    if supervisor is not None:
+        commander = "supervisor"
     expected = {
         seen: ("plant", "state"),
-        ("guidance", "state"): state,
-        ("controller", "state"): ("motion_capture", "onboard_state") if sensors else state,
+        **{("guidance", name): ("motion_capture", name) for name in MOTION},
+        ("controller", "state"): ("motion_capture", "state"),
         **{("controller", name): (commander, name) for name in COMMANDS},
-        ("plant", "propeller_force"): ("controller", "propeller_force"),
+        ("plant", "propeller_force"): ("guidance_loop", "propeller_force"),
     }
     if sensors:
         expected["motion_capture", "acceleration"] = ("controller", "acceleration")
     if supervisor is not None:
-        expected["supervisor", "state"] = state
+        expected |= {("supervisor", name): ("motion_capture", name) for name in MOTION}
         for name in (*COMMANDS, "speed"):
             expected["supervisor", name] = ("guidance", name)
         if sensors:
@@ -71,37 +74,39 @@ def test_everything_is_connected(circle_field, sensors, supervisor, lost):
         expected[seen] = ("dropout", "output")
         expected["dropout", "input"] = ("plant", "state")
     assert connections(flight) == expected
-    assert flight.parts.supervisor is flight.supervisor
-    source = flight.diagram.GetSubsystemByName(commander)
-    assert flight.parts.velocity_command is source.GetOutputPort("velocity_command")
-    assert isinstance(flight.parts.motion_capture, MotionCapture if sensors else ZeroOrderHold)
+    assert flight.loop.supervisor is flight.supervisor
+    capture = flight.loop.motion_capture
+    assert isinstance(capture, MotionCapture if sensors else IdealMotionCapture)
 
 
 def test_arguments_reach_their_systems(circle_field):
     sensors = SensorParameters(delay=0.03, position_noise=0.0)
-    parts = Flight(circle_field, sensors=sensors).parts
-    assert parts.motion_capture.parameters is sensors
-    assert parts.controller.parameters is PARAMETERS
+    loop = Flight(circle_field, sensors=sensors).loop
+    assert loop.motion_capture.parameters is sensors
+    assert loop.controller.parameters is PARAMETERS
     options = {"speed": 0.7, "altitude": 1.4, "sample_period": 0.02, "feedforward": False}
     flight = Flight(circle_field, **options)
     diagram = MakeFlightDiagram(circle_field, PARAMETERS, **options)
     for made in (flight.diagram, diagram):
-        guidance = made.GetSubsystemByName("guidance")
+        loop = made.GetSubsystemByName("guidance_loop")
+        guidance = loop.guidance
         own = guidance.CreateDefaultContext()
         assert (guidance.GetSpeed(own), guidance.GetAltitude(own)) == (0.7, 1.4)
-        guidance.GetInputPort("state").FixValue(own, STATE)
+        for name, entries in (("position", POSITION), ("velocity", VELOCITY)):
+            guidance.GetInputPort(name).FixValue(own, STATE[entries])
         assert not guidance.GetOutputPort("acceleration_feedforward").Eval(own).any()
-        assert made.GetSubsystemByName("motion_capture").period() == 0.02
+        assert loop.motion_capture.GetSubsystemByName("state").period() == 0.02
 
 
 def test_flight_diagram_passes_the_parts_of_the_loop_on(circle_field):
     supervisor = BranchSupervisor(circle_field, RINGS[:1])
     diagram = MakeFlightDiagram(circle_field, sensors=SENSORS, supervisor=supervisor)
-    assert diagram.GetSubsystemByName("motion_capture").parameters is SENSORS
-    assert diagram.GetSubsystemByName("supervisor") is supervisor
+    loop = diagram.GetSubsystemByName("guidance_loop")
+    assert loop.motion_capture.parameters is SENSORS
+    assert loop.supervisor is supervisor
     assert {"mode_log", "branch_log"} <= {s.get_name() for s in diagram.GetSystems()}
     continuous = MakeFlightDiagram(circle_field, sample_period=0.0, log_period=None)
-    assert isinstance(continuous.GetSubsystemByName("motion_capture"), PassThrough)
+    assert continuous.CreateDefaultContext().num_discrete_state_groups() == 0
     assert not any(s.get_name().endswith("_log") for s in continuous.GetSystems())
 
 
@@ -113,7 +118,8 @@ def test_continuous_loop_has_the_derivative_of_its_parts(circle_field):
     # The parts one after the other, each in a Context of its own.
     guidance, controller, plant = flight.guidance, flight.controller, flight.plant
     context = guidance.CreateDefaultContext()
-    guidance.GetInputPort("state").FixValue(context, STATE)
+    for name, entries in (("position", POSITION), ("velocity", VELOCITY)):
+        guidance.GetInputPort(name).FixValue(context, STATE[entries])
     commands = {name: guidance.GetOutputPort(name).Eval(context) for name in COMMANDS}
     context = controller.CreateDefaultContext()
     for name, value in {"state": STATE, **commands}.items():
@@ -126,8 +132,7 @@ def test_continuous_loop_has_the_derivative_of_its_parts(circle_field):
 
 
 def force_of(flight):
-    port = flight.controller.GetOutputPort("propeller_force")
-    return port.Eval(flight.own(flight.controller))
+    return flight.loop.GetOutputPort("propeller_force").Eval(flight.own(flight.loop))
 
 
 @pytest.mark.parametrize("period", [0.0, 0.01])
@@ -152,10 +157,6 @@ def test_smooth_continuous_loop_is_differentiated_exactly(circle_field):
     flight = Flight(circle_field, sample_period=0.0, saturate=False)
     converted = flight.diagram.ToAutoDiffXd()
     context = converted.CreateDefaultContext()
-    # Its start can be set as that of floats.
-    SetHover(converted, context, START)
-    hover = context.get_continuous_state_vector().CopyToVector()
-    assert [x.value() for x in hover] == [*START, *np.zeros(9)]
     context.SetContinuousState(InitializeAutoDiff(STATE)[:, 0])
     rates = converted.EvalTimeDerivatives(context).CopyToVector()
 
@@ -269,10 +270,9 @@ def test_sensors_start_from_their_first_measurement(make_field, delay):
     # Otherwise the noise depends on how many diagrams the process has made before.
     SetNoiseSeed(flight.diagram, flight.context, 0)
     flight.until(0.05)
-    capture = flight.parts.motion_capture
-    velocity = capture.GetOutputPort("state").Eval(flight.own(capture))[VELOCITY]
+    measured = flight.loop.GetOutputPort("measured_state").Eval(flight.own(flight.loop))
     # From the origin, it would be off by metres a second.
-    np.testing.assert_allclose(velocity, flight.state[VELOCITY], atol=0.1)
+    np.testing.assert_allclose(measured[VELOCITY], flight.state[VELOCITY], atol=0.1)
 
 
 def test_hover_is_an_equilibrium(circle_field):
@@ -285,16 +285,12 @@ def test_hover_is_an_equilibrium(circle_field):
     np.testing.assert_array_equal(state, [*START, *np.zeros(9)])
 
 
-def test_parameters_are_those_of_drakes_plant_and_needed_for_others(circle_field):
+def test_parameters_are_those_of_drakes_plant(circle_field):
     # The README's own diagram flies with them.
     builder = DiagramBuilder()
     plant = builder.AddSystem(QuadrotorPlant())
-    parts = AddGuidance(builder, circle_field, plant, speed=0.45)
-    assert parts.controller.parameters.mass == plant.m()
-    builder = DiagramBuilder()
-    plant = builder.AddSystem(ZeroOrderHold(0.1, 12))
-    with pytest.raises(ConfigurationError, match="parameters"):
-        AddGuidance(builder, circle_field, plant)
+    loop = AddGuidance(builder, circle_field, plant, speed=0.45)
+    assert loop.controller.parameters.mass == plant.m()
 
 
 @pytest.mark.parametrize("field_name", ["circle_field", "spatial_circle_field"])
@@ -305,7 +301,7 @@ def test_state_that_is_not_finite_stops_a_flight(request, field_name):
     SetHover(diagram, context, START)
     simulator.AdvanceTo(0.05)
     context.get_mutable_continuous_state_vector().SetAtIndex(1, math.nan)
-    message = r"::flight::(guidance|controller): input port 'state' .* t = 0\.05 s"
+    message = r"::flight::guidance_loop::(guidance|controller): input port .* t = 0\.05 s"
     with pytest.raises(NonFiniteValueError, match=message):
         simulator.AdvanceTo(0.2)
 
@@ -331,9 +327,12 @@ def test_noise_seed_of_a_flight_repeats_it(circle_field):
     diagram = MakeFlightDiagram(circle_field)
     context = diagram.CreateDefaultContext()
     SetHover(diagram, context, START)
-    before = context.get_discrete_state_vector().CopyToVector()
+    before = diagram.CreateDefaultContext()
+    before.SetTimeStateAndParametersFrom(context)
     SetNoiseSeed(diagram, context, 3)
-    np.testing.assert_array_equal(context.get_discrete_state_vector().CopyToVector(), before)
+    for group in range(context.num_discrete_state_groups()):
+        held, was = (c.get_discrete_state(group).CopyToVector() for c in (context, before))
+        np.testing.assert_array_equal(held, was)
 
 
 def test_bad_start_is_refused(circle_field):

@@ -8,6 +8,7 @@ from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
 from sgvf_drake.fields import AdjustableField
 from systems import FieldForSpeed, GuidanceSystem, MakeFlightDiagram, MakeSimulator, SetHover
 from systems.guidance import ALTITUDE_GAIN, MAX_CLIMB_RATE
+from systems.quadrotor import POSITION, VELOCITY
 
 from .flying import differences
 
@@ -41,7 +42,8 @@ def random_states(count, seed=0):
 
 def evaluate(system, state):
     context = system.CreateDefaultContext()
-    system.get_input_port().FixValue(context, state)
+    for name, part in (("position", POSITION), ("velocity", VELOCITY)):
+        system.GetInputPort(name).FixValue(context, state[part])
     return [system.GetOutputPort(name).Eval(context) for name in PORTS]
 
 
@@ -102,14 +104,14 @@ def test_feedforward_is_the_rate_of_the_command_along_the_motion(circle_field):
         )
 
 
-@pytest.mark.parametrize("index", [0, 5, 11])
-def test_state_that_is_not_finite_is_named(circle_field, index):
+@pytest.mark.parametrize(("index", "port"), [(0, "position"), (8, "velocity")])
+def test_input_that_is_not_finite_is_named(circle_field, index, port):
     system = GuidanceSystem(circle_field)
     system.set_name("pilot")
     state = random_states(1)[0]
     state[index] = math.nan
     for scalar_system in (system, system.ToAutoDiffXd()):
-        with pytest.raises(NonFiniteValueError, match=r"pilot: input port 'state'.*t = 0 s"):
+        with pytest.raises(NonFiniteValueError, match=rf"pilot: input port '{port}'.*t = 0 s"):
             evaluate(scalar_system, state)
 
 
@@ -186,7 +188,7 @@ def errors_of_flight(field, widen):
     context = simulator.get_mutable_context()
     SetHover(diagram, context, (1.1, 0.0, 1.0))
     if not widen:
-        guidance = diagram.GetSubsystemByName("guidance")
+        guidance = diagram.GetSubsystemByName("guidance_loop").guidance
         guidance.SetApproachLength(
             guidance.GetMyMutableContextFromRoot(context), field.approach_length
         )
@@ -244,7 +246,8 @@ def test_the_unit_of_length_does_not_matter(make_field, factor):
 def test_there_is_no_derivative_by_the_approach_length():
     system = GuidanceSystem(NarrowCircle(0.03), SPEED).ToAutoDiffXd()
     context = system.CreateDefaultContext()
-    system.get_input_port().FixValue(context, np.array([1.1, *np.zeros(11)]))
+    for name, value in (("position", [1.1, 0.0, 0.0]), ("velocity", np.zeros(3))):
+        system.GetInputPort(name).FixValue(context, value)
     parameters = InitializeAutoDiff(np.array([SPEED, 1.0, 0.5]))[:, 0]
     context.get_mutable_numeric_parameter(system.parameter_index).SetFromVector(parameters)
     with pytest.raises(ConfigurationError, match="no derivative by approach_length"):

@@ -343,7 +343,8 @@ def test_a_route_where_no_branch_is_is_refused(tee_and_ring):
 
 
 INPUTS = {
-    "state": np.array([0.1, 0.0, 1.0, *np.zeros(3), 0.0, SPEED, 0.0, *np.zeros(3)]),
+    "position": np.array([0.1, 0.0, 1.0]),
+    "velocity": np.array([0.0, SPEED, 0.0]),
     "velocity_command": np.array([0.0, SPEED, 0.0]),
     "acceleration_feedforward": np.zeros(3),
     "speed": np.array([SPEED]),

@@ -14,16 +14,14 @@ from pydrake.systems.primitives import (
     LogVectorOutput,
     Multiplexer,
     Multiplexer_,
-    PassThrough,
     TrajectorySource,
-    ZeroOrderHold,
 )
 from pydrake.trajectories import PiecewisePolynomial
 import pytest
 from scipy.signal import lfilter
 
 from sgvf_drake.exceptions import ConfigurationError
-from systems import AddMotionCapture, Dropout, MotionCapture, SensorParameters
+from systems import Dropout, IdealMotionCapture, MotionCapture, SensorParameters
 from systems.quadrotor import ATTITUDE, POSITION, RATES, VELOCITY
 from systems.sensing import Concatenation
 
@@ -68,14 +66,10 @@ class Setup:
                 builder.AddSystem(ConstantVectorSource(acceleration)).get_output_port(),
                 self.capture.GetInputPort("acceleration"),
             )
-        # A log sees what holds until its sample.
-        self.logs = {
-            name: LogVectorOutput(self.capture.GetOutputPort(name), builder, period)
-            for name, period in (
-                ("state", parameters.sample_period),
-                ("onboard_state", parameters.onboard_period),
-            )
-        }
+        # It sees what holds until its sample.
+        self.log = LogVectorOutput(
+            self.capture.GetOutputPort("state"), builder, parameters.onboard_period
+        )
         self.simulator = Simulator(builder.Build())
         self.context = self.simulator.get_mutable_context()
         self.own = self.capture.GetMyMutableContextFromRoot(self.context)
@@ -89,15 +83,12 @@ class Setup:
         self.simulator.AdvanceTo(k * period + 0.5 * self.capture.parameters.onboard_period)
         return self.output("state")
 
-    def log(self, name):
-        return self.logs[name].FindLog(self.context).data().T
-
     def noise(self, seed=None, duration=0.4):
-        """Both logs of a new simulation, without what holds at the start."""
+        """The log of a new simulation, without what holds at the start."""
         if seed is not None:
             self.capture.SetNoiseSeed(self.own, seed)
         self.simulator.AdvanceTo(duration)
-        return self.log("state")[1:], self.log("onboard_state")[1:]
+        return self.log.FindLog(self.context).data().T[1:]
 
 
 def noisy_setup(parameters, seed=None, duration=0.4):
@@ -130,19 +121,16 @@ def test_delay_of_the_chain_is_that_of_the_parameters(delay):
     assert np.abs(velocity).max() > 1.0
 
 
-def test_attitude_and_rates_are_sampled_each_at_its_rate():
+def test_attitude_and_rates_are_sampled_at_the_onboard_rate():
     motion = smooth_motion()
     setup = Setup(NOISELESS, TrajectorySource(motion))
     for step in range(1, 40):
         setup.simulator.AdvanceTo((step + 0.5) * ONBOARD_PERIOD)
-        state, onboard = setup.output("state"), setup.output("onboard_state")
-        slow = motion.value(PERIOD * (step // 5))[:, 0]
-        fast = motion.value(ONBOARD_PERIOD * step)[:, 0]
+        state, true = setup.output("state"), motion.value(ONBOARD_PERIOD * step)[:, 0]
         for part in (ATTITUDE, RATES):
-            np.testing.assert_allclose(state[part], slow[part], atol=1e-12)
-            np.testing.assert_allclose(onboard[part], fast[part], atol=1e-12)
-        for part in (POSITION, VELOCITY):
-            np.testing.assert_array_equal(state[part], onboard[part])
+            np.testing.assert_allclose(state[part], true[part], atol=1e-12)
+        for name, part in (("position", POSITION), ("velocity", VELOCITY)):
+            np.testing.assert_array_equal(state[part], setup.output(name))
 
 
 # 7 PERIOD / PERIOD is a little more than 7.
@@ -157,8 +145,7 @@ def test_state_that_is_set_is_the_estimate_and_makes_no_transient(delay, moment)
     state = STATE.copy()
     state[POSITION] = motion.value(time)[POSITION, 0]
     setup.capture.SetVectorState(setup.own, state)
-    for name in ("state", "onboard_state"):
-        np.testing.assert_allclose(setup.output(name), state, atol=1e-15)
+    np.testing.assert_allclose(setup.output("state"), state, atol=1e-15)
     assert setup.output("measurement_age") == [delay]
     for k in range(math.ceil(moment), math.ceil(moment) + 12):
         estimate = setup.after_sample(k)
@@ -214,23 +201,21 @@ def test_noise_has_the_deviations_of_the_parameters_and_is_independent():
     parameters = SensorParameters(
         delay=0.0, position_noise=2e-3, attitude_noise=3e-3, rate_noise=0.02, bandwidth=1e5
     )
-    state, onboard = noisy_setup(parameters, 0, 20.0)
-    deviations = np.repeat([2e-3, 3e-3, 0.02], 3)
-    onboard_parts = (onboard - STATE)[:, [3, 4, 5, 9, 10, 11]] / deviations[3:]
-    parts = (state - STATE)[:, NOISY_ENTRIES] / deviations
-    for values in (parts, onboard_parts):
+    noise = (noisy_setup(parameters, 0, 20.0) - STATE)[:, NOISY_ENTRIES]
+    noise /= np.repeat([2e-3, 3e-3, 0.02], 3)
+    # A position holds for so many samples of the attitude.
+    held = round(PERIOD / ONBOARD_PERIOD)
+    slow = noise[::held]
+    for values in (slow[:, :3], noise[:, 3:]):
         count = len(values)
         assert np.all(np.abs(values.mean(axis=0)) < 4.0 / math.sqrt(count))
         assert np.all(np.abs(values.var(axis=0) - 1.0) < 4.0 * math.sqrt(2.0 / count))
         # A sample is not like the one before it.
         across = values[1:].T @ values[:-1] / (count - 1)
         assert np.abs(across).max() < 5.0 / math.sqrt(count)
-    # The logs at the same times: what has a noise of its own shares nothing with the others.
-    both = np.column_stack(
-        [parts, onboard_parts[:: round(PERIOD / ONBOARD_PERIOD)][: len(parts)]]
-    )
-    other = np.corrcoef(both.T) - np.eye(both.shape[1])
-    assert np.abs(other).max() < 5.0 / math.sqrt(len(both))
+    # What has a noise of its own shares nothing with the others.
+    other = np.corrcoef(slow.T) - np.eye(slow.shape[1])
+    assert np.abs(other).max() < 5.0 / math.sqrt(len(slow))
 
 
 def test_seed_repeats_exactly_whatever_was_before_and_another_does_not():
@@ -241,20 +226,18 @@ def test_seed_repeats_exactly_whatever_was_before_and_another_does_not():
         setup.simulator.get_system().CreateDefaultContext()
     )
     setup.capture.SetVectorState(setup.own, STATE)
-    for log in ("state", "onboard_state"):
-        setup.logs[log].FindMutableLog(setup.context).Clear()
+    setup.log.FindMutableLog(setup.context).Clear()
     setup.simulator.Initialize()
-    for one, same, different in zip(fresh, setup.noise(1), other, strict=True):
-        np.testing.assert_array_equal(one, same)
-        # No value is by chance what it was, once the first sample has arrived.
-        assert np.all(one[20:] != different[20:])
+    np.testing.assert_array_equal(fresh, setup.noise(1))
+    # No value is by chance what it was, once the first sample has arrived.
+    assert np.all(fresh[20:] != other[20:])
     # A generator draws anew each time, and the same as another of its seed.
     found, generator = [], RandomGenerator(3)
     for source in (generator, generator, RandomGenerator(3)):
         setup = Setup(SensorParameters(), ConstantVectorSource(STATE))
         setup.simulator.get_system().SetRandomContext(setup.context, source)
         setup.capture.SetVectorState(setup.own, STATE)
-        found.append(setup.noise()[1])
+        found.append(setup.noise())
     assert np.all(found[0][20:] != found[1][20:])
     np.testing.assert_array_equal(found[0], found[2])
 
@@ -268,9 +251,8 @@ def test_motion_capture_converts_with_its_state_and_feeds_nothing_through(parame
     converted = capture.ToAutoDiffXd()
     converted_context = converted.CreateDefaultContext()
     converted_context.SetTimeStateAndParametersFrom(context)
-    for name in ("state", "onboard_state"):
-        values = converted.GetOutputPort(name).Eval(converted_context)
-        np.testing.assert_allclose([v.value() for v in values], STATE, atol=1e-15)
+    values = converted.GetOutputPort("state").Eval(converted_context)
+    np.testing.assert_allclose([v.value() for v in values], STATE, atol=1e-15)
 
 
 MUST_BE_POSITIVE = ("sample_period", "onboard_period", "bandwidth")
@@ -286,22 +268,24 @@ def test_value_that_cannot_be_is_named(name):
             SensorParameters(**{name: value})
 
 
-@pytest.mark.parametrize(("period", "kind"), [(0.02, ZeroOrderHold), (0.0, PassThrough)])
-def test_ideal_motion_capture_samples_or_passes(period, kind):
+@pytest.mark.parametrize("period", [0.02, 0.0])
+def test_ideal_motion_capture_samples_or_passes(period):
     motion = smooth_motion()
     builder = DiagramBuilder()
     source = builder.AddSystem(TrajectorySource(motion))
-    capture = AddMotionCapture(builder, source.get_output_port(), period, "camera")
-    assert isinstance(capture, kind)
-    assert capture.get_name() == "camera"
+    capture = builder.AddSystem(IdealMotionCapture(period))
+    builder.Connect(source.get_output_port(), capture.get_input_port())
     simulator = Simulator(builder.Build())
     simulator.AdvanceTo(0.05)
     own = capture.GetMyContextFromRoot(simulator.get_context())
-    np.testing.assert_allclose(
-        capture.get_output_port().Eval(own),
-        motion.value(0.04 if period else 0.05)[:, 0],
-        atol=1e-14,
-    )
+    true = motion.value(0.04 if period else 0.05)[:, 0]
+    for name, part in (
+        ("state", slice(12)),
+        ("position", POSITION),
+        ("velocity", VELOCITY),
+    ):
+        found = capture.GetOutputPort(name).Eval(own)
+        np.testing.assert_allclose(found, true[part], atol=1e-14)
 
 
 # What can be lost.

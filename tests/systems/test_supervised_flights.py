@@ -247,7 +247,7 @@ def test_nan_from_an_ideal_sensor_is_named_at_once(
             integration_scheme="runge_kutta3", use_error_control=True, accuracy=1e-4
         )
         ApplySimulatorConfig(config, flight.simulator)
-    message = rf"guidance: input port 'state' is not finite at t = {met} s: \[nan, "
+    message = rf"guidance: input port 'position' is not finite at t = {met} s: \[nan, "
     with pytest.raises(NonFiniteValueError, match=message):
         flight.until(1.0)
 
