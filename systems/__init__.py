@@ -5,7 +5,12 @@ As in Drake, ``Add...(builder, ...)`` changes a builder and ``Make...`` returns 
 
 from systems.branch_supervisor import BranchSupervisor, BranchSupervisor_
 from systems.branches import Branch, BranchAlong, MakeBranches
-from systems.controller import DEFAULT_GAINS, Se3Controller, Se3Controller_
+from systems.controller import (
+    DEFAULT_GAINS,
+    DISTURBANCE_BANDWIDTH,
+    Se3Controller,
+    Se3Controller_,
+)
 from systems.diagrams import (
     MakeFlightDiagram,
     MakeSimulator,
@@ -13,6 +18,7 @@ from systems.diagrams import (
     SetNoiseSeed,
     SetVehicleState,
 )
+from systems.disturbances import Disturbance, DisturbedQuadrotor
 from systems.guidance import FieldForSpeed, GuidanceSystem, GuidanceSystem_
 from systems.guidance_loop import AddGuidance, GuidanceLoop
 from systems.kinematic import (
@@ -59,6 +65,7 @@ from systems.visualization import (
 
 __all__ = [
     "DEFAULT_GAINS",
+    "DISTURBANCE_BANDWIDTH",
     "HOLD_POSITION",
     "ON_TOUR",
     "AddFlightTrail",
@@ -72,6 +79,8 @@ __all__ = [
     "BranchSupervisor",
     "BranchSupervisor_",
     "DifferentiableFunction",
+    "Disturbance",
+    "DisturbedQuadrotor",
     "DrawField",
     "DrawTube",
     "DrawWaypoints",

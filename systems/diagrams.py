@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.autodiffutils import AutoDiffXd
+from pydrake.common import RandomGenerator
 from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator_, SimulatorConfig
 from pydrake.systems.framework import (
@@ -20,11 +21,12 @@ from pydrake.systems.primitives import Demultiplexer, LogVectorOutput
 
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
 from sgvf_drake.fields.base import Field
+from systems.disturbances import Disturbance, DisturbedQuadrotor
 from systems.guidance_loop import REPORTS, AddGuidance, GuidanceLoop
 from systems.lyapunov_monitor import AddLyapunovMonitor, DifferentiableFunction
 from systems.quadrotor import STATE_SIZE, VELOCITY, QuadrotorParameters
 from systems.scalars import ToFloat
-from systems.sensing import DEFAULT_SAMPLE_PERIOD, MotionCapture
+from systems.sensing import DEFAULT_SAMPLE_PERIOD, DrawNoise
 from systems.visualization import AddFlightVisualization
 
 INTEGRATION_STEP = 0.005
@@ -36,6 +38,7 @@ def MakeFlightDiagram(
     field: Field,
     parameters: QuadrotorParameters | None = None,
     *,
+    disturbance: Disturbance | None = None,
     log_period: float | None = DEFAULT_SAMPLE_PERIOD,
     lyapunov: DifferentiableFunction | None = None,
     level: float = math.inf,
@@ -44,9 +47,9 @@ def MakeFlightDiagram(
 ) -> Diagram:
     """Returns the diagram of a quadrotor that follows a guiding vector field.
 
-    The systems are named "plant" (Drake's QuadrotorPlant) and "guidance_loop", and the logs
-    (VectorLogSink) "state_log", "velocity_command_log" and "propeller_force_log"; see
-    `AddGuidance`.  A log sees the commands that hold until its
+    The systems are named "plant" (Drake's QuadrotorPlant, or a `DisturbedQuadrotor`) and
+    "guidance_loop", and the logs (VectorLogSink) "state_log", "velocity_command_log" and
+    "propeller_force_log"; see `AddGuidance`.  A log sees the commands that hold until its
     sample: at a time of sampling, those of the sample before.  The output port `state` (12)
     is the plant's.  With a "supervisor" there are the logs "mode_log" and "branch_log" too, and
     with a directed field "edge_log" and "arc_log".
@@ -59,21 +62,25 @@ def MakeFlightDiagram(
 
     Args:
         field: The guiding field, of dimension 2 or 3, in metres.
-        parameters: The vehicle; by default the paper's.
+        parameters: The vehicle, as the controller believes it; by default the paper's.
+        disturbance: Wind, drag, motor lag and what else is not as believed; None: nothing is.
         log_period: Of the logs in s; 0 logs every step, and None leaves the logs out.
         lyapunov: A Lyapunov function V of dimension 2 or 3; None: there is no monitor.
         level: Of the sublevel set of V that is watched.
         meshcat: Shows the flight; see `AddFlightVisualization`.  The diagram can then not be
             converted to AutoDiffXd.
-        **guidance: `speed`, `altitude`, `sample_period`, `feedforward`, `saturate`, `sensors`
-            and `supervisor` as in `AddGuidance`.
+        **guidance: `speed`, `altitude`, `sample_period`, `feedforward`, `saturate`, `gains`,
+            `sensors` and `supervisor` as in `AddGuidance`.
 
     Raises:
         ConfigurationError: if an argument cannot be used.
     """
     parameters = parameters or QuadrotorParameters()
     builder = DiagramBuilder()
-    plant = builder.AddNamedSystem("plant", parameters.MakePlant())
+    plant: System = parameters.MakePlant()
+    if disturbance is not None:
+        plant = DisturbedQuadrotor(parameters, disturbance)
+    builder.AddNamedSystem("plant", plant)
     loop = AddGuidance(builder, field, plant, parameters, **guidance)
     builder.ExportOutput(plant.GetOutputPort("state"), "state")
     if log_period is not None:
@@ -155,17 +162,21 @@ def SetVehicleState(
     if not np.isfinite(values).all():
         raise NonFiniteValueError(f"the vehicle's state must be finite: {values.tolist()}")
     found = _FindLoop(diagram, loop)
-    plant = _FindPlant(diagram, found)
-    plant.GetMyMutableContextFromRoot(context).SetContinuousState(values)
+    plant: Any = _FindPlant(diagram, found)
+    own = plant.GetMyMutableContextFromRoot(context)
+    if isinstance(plant, DisturbedQuadrotor):
+        plant.SetVectorState(own, values)
+    else:
+        own.SetContinuousState(values)
     found.SetVectorState(found.GetMyMutableContextFromRoot(context), values)
 
 
 def SetNoiseSeed(
     diagram: Diagram, context: Context, seed: int, loop: str | None = None
 ) -> None:
-    """Sets the seed of a vehicle's measurements, so that a flight repeats exactly.
+    """Sets the seed of a vehicle's measurements and gusts, so that a flight repeats exactly.
 
-    Measurements without noise need none, and take none.
+    Without noise it changes nothing.
 
     Args:
         diagram: From `MakeFlightDiagram`, or any with a `GuidanceLoop`.
@@ -177,9 +188,10 @@ def SetNoiseSeed(
         ConfigurationError: if there is no such loop, or if the diagram is a converted or
             cloned one.
     """
-    capture = _FindLoop(diagram, loop).motion_capture
-    if isinstance(capture, MotionCapture):
-        capture.SetNoiseSeed(capture.GetMyMutableContextFromRoot(context), seed)
+    found, generator = _FindLoop(diagram, loop), RandomGenerator(seed)
+    for system in (found.motion_capture, _FindPlant(diagram, found)):
+        if isinstance(system, Diagram):
+            DrawNoise(system, system.GetMyMutableContextFromRoot(context), generator)
 
 
 def _FindLoop(diagram: Diagram, name: str | None) -> GuidanceLoop:

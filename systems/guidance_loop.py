@@ -7,9 +7,10 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPo
 
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields.base import Field, SteerableField
-from systems.controller import Se3Controller
+from systems.controller import DEFAULT_GAINS, Se3Controller
 from systems.guidance import DEFAULT_ALTITUDE, DEFAULT_SPEED, GuidanceSystem
-from systems.quadrotor import QuadrotorParameters
+from systems.quadrotor import VELOCITY, QuadrotorParameters
+from systems.se3_law import Gains
 from systems.sensing import (
     DEFAULT_SAMPLE_PERIOD,
     IdealMotionCapture,
@@ -119,14 +120,16 @@ class GuidanceLoop(Diagram):
             _Connect(builder, capture, supervisor, "measurement_age")
 
     def SetVectorState(self, context: Context, state: Any) -> None:
-        """Makes the motion capture have seen a state.
+        """Makes the motion capture, and the controller, have seen a state.
 
         Args:
             context: This system's own.
             state: The state (12,), as QuadrotorPlant's.
         """
-        capture = self.motion_capture
+        capture, controller = self.motion_capture, self.controller
         capture.SetVectorState(self.GetMutableSubsystemContext(capture, context), state)
+        own = self.GetMutableSubsystemContext(controller, context)
+        controller.SetVelocity(own, state[VELOCITY])
 
 
 def AddGuidance(
@@ -141,6 +144,7 @@ def AddGuidance(
     sample_period: float = DEFAULT_SAMPLE_PERIOD,
     feedforward: bool = True,
     saturate: bool = True,
+    gains: Gains = DEFAULT_GAINS,
     sensors: SensorParameters | None = None,
     supervisor: Any = None,
     measured_port: OutputPort | None = None,
@@ -165,6 +169,7 @@ def AddGuidance(
             sampling out, so that the loop is continuous.
         feedforward: As in `GuidanceSystem`.
         saturate: As in `Se3Controller`.
+        gains: As in `Se3Controller`.
         sensors: Noise, delay and rates of the measurements; None: the ideal motion capture.
         supervisor: A `BranchSupervisor` for the same field, which is added.
         measured_port: The state that is measured; by default that of the plant.  This is
@@ -187,7 +192,7 @@ def AddGuidance(
     if not isinstance(guidance, System):
         guide = GuidanceSystem(guidance, speed, altitude, feedforward)
     capture = IdealMotionCapture(sample_period) if sensors is None else MotionCapture(sensors)
-    controller = Se3Controller(parameters, saturate=saturate)
+    controller = Se3Controller(parameters, gains, saturate)
     loop = GuidanceLoop(guide, controller, capture, supervisor)
     builder.AddNamedSystem(name, loop)
     builder.Connect(measured_port or plant.GetOutputPort("state"), loop.GetInputPort("state"))

@@ -56,12 +56,15 @@ class Gains(NamedTuple):
         attitude_bandwidth: Natural frequency wn of the attitude loop, rad/s.
         damping_ratio: Damping ratio of the attitude loop.
         heading: Desired yaw angle, rad.
+        disturbance_bandwidth: Of the estimate of the force that disturbs the vehicle, which is
+            made up for, rad/s; 0: there is none, and a steady force leaves a steady error.
     """
 
     velocity_gain: Scalar
     attitude_bandwidth: Scalar
     damping_ratio: Scalar
     heading: Scalar
+    disturbance_bandwidth: Scalar = 0.0
 
 
 class Body(NamedTuple):
@@ -85,6 +88,7 @@ def CalcPropellerInput(
     state: Any,
     velocity_command: Any,
     acceleration: Any,
+    disturbance: Any,
     gains: Any,
     body: Any,
     rotors: Rotors,
@@ -97,7 +101,8 @@ def CalcPropellerInput(
         state: The vehicle's, (12,).
         velocity_command: The velocity command in W, (3,) in m/s.
         acceleration: The feed-forward in W, (3,) in m/s^2.
-        gains: The `Gains`, (4,).
+        disturbance: What else accelerates the vehicle, in W, (3,) in m/s^2.
+        gains: The `Gains`, (5,).
         body: The `Body`, (4,).
         rotors: Where the propellers stand, and what they can give.
         gravity: The acceleration of gravity, m/s^2.
@@ -107,7 +112,8 @@ def CalcPropellerInput(
         state,
         velocity_command,
         acceleration,
-        Gains(gains[0], gains[1], gains[2], gains[3]),
+        disturbance,
+        Gains(gains[0], gains[1], gains[2], gains[3], gains[4]),
         Body(body[0], body[1], body[2], body[3]),
         gravity,
         NUM_PROPELLERS * rotors.max_force,
@@ -125,6 +131,7 @@ def CalcThrustAndTorque(
     state: Any,
     velocity_command: Any,
     acceleration: Any,
+    disturbance: Any,
     gains: Gains,
     body: Body,
     gravity: float,
@@ -133,7 +140,7 @@ def CalcThrustAndTorque(
 ) -> tuple[Scalar, Vector3]:
     """Returns the thrust along B's z axis in N and the torque about B's axes in N m.
 
-    The demanded acceleration is a_ff + k_v (v_cmd - v); its thrust vector sets the desired
+    The demanded acceleration is a_ff + k_v (v_cmd - v) - d; its thrust vector sets the desired
     attitude at a fixed heading, and the torque tracks that attitude.  The arguments are those
     of `CalcPropellerInput`, and the greatest thrust of all propellers together in N.  Without
     saturation the law is smooth wherever the thrust vector is not zero.
@@ -141,17 +148,19 @@ def CalcThrustAndTorque(
     rpy, rpy_rates = _Vector3(state[ATTITUDE]), _Vector3(state[RATES])
     vx, vy, vz = v_W = _Vector3(state[VELOCITY])
     ax, ay, az = a_W = _Vector3(acceleration)
+    dx, dy, dz = _Vector3(disturbance)
     ux, uy, uz = _Vector3(velocity_command)
     m, k_v, g = body.mass, gains.velocity_gain, gravity
     F_W = (
-        m * (ax + k_v * (ux - vx)),
-        m * (ay + k_v * (uy - vy)),
-        m * (az + k_v * (uz - vz) + g),
+        m * (ax + k_v * (ux - vx) - dx),
+        m * (ay + k_v * (uy - vy) - dy),
+        m * (az + k_v * (uz - vz) - dz + g),
     )
     if saturate:
         F_W = LimitThrust(m * g, max_thrust, F_W)
     w_path = CalcTurnRate(v_W, a_W)
-    # The demand turns with the path; the error k_v (v_cmd - v) is small or short.
+    # The demand turns with the path; the error k_v (v_cmd - v) is small or short, and what
+    # disturbs the vehicle changes slowly.
     F_dot_W = Cross(w_path, (m * ax, m * ay, m * az))
     F_ddot_W = Cross(w_path, F_dot_W)
     R_WD, w_WD_W, alpha_WD_W = CalcDesiredAttitude(

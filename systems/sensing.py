@@ -173,20 +173,6 @@ class MotionCapture(Diagram):
             ahead = np.outer(to_sample - steps * period, state[VELOCITY])
             own.SetDiscreteState((state[POSITION] + ahead).ravel())
 
-    def SetNoiseSeed(self, context: Context, seed: int) -> None:
-        """Sets the seed of the noise, so that a flight repeats exactly.
-
-        Args:
-            context: This system's own.
-            seed: Not negative.
-        """
-        generator = RandomGenerator(seed)
-        for system in self.GetSystems():
-            if isinstance(system, RandomSource):
-                system.SetRandomContext(
-                    self.GetMutableSubsystemContext(system, context), generator
-                )
-
     def _AddEstimator(self, builder: DiagramBuilder, position: OutputPort) -> Any:
         """Adds what becomes of positions: noise, delay, estimator."""
         p = self._parameters
@@ -260,6 +246,21 @@ class IdealMotionCapture(Diagram):
         """
         for hold, entries in self._holds:
             hold.SetVectorState(self.GetMutableSubsystemContext(hold, context), state[entries])
+
+
+def DrawNoise(diagram: Diagram, context: Context, generator: RandomGenerator) -> None:
+    """Seeds the random sources of a diagram, so that what they give repeats exactly.
+
+    Args:
+        diagram: Its sources are seeded, and no others.
+        context: This diagram's own.
+        generator: Gives the seeds.
+    """
+    for system in diagram.GetSystems():
+        if isinstance(system, RandomSource):
+            system.SetRandomContext(
+                diagram.GetMutableSubsystemContext(system, context), generator
+            )
 
 
 @TemplateSystem.define("Dropout_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]

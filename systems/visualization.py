@@ -102,12 +102,16 @@ def AddFlightVisualization(
     *,
     publish_period: float = PUBLISH_PERIOD,
     scale: float = DISPLAY_SCALE,
+    name: str = "quadrotor",
+    beside: FlightVisualization | None = None,
 ) -> FlightVisualization:
     """Shows a quadrotor and its trail in Meshcat while it flies.
 
     Adds the systems "scene_graph", "quadrotor_geometry", "meshcat_visualizer" and "trail".
-    The diagram can then no longer be converted to AutoDiffXd.  What stands still is drawn
-    by `DrawWaypoints`, `DrawField` and `DrawTube`, and seen well from where `SetView` looks.
+    Another vehicle is shown `beside` the first, in its scene, by another name: that adds
+    "<name>_geometry" and "<name>_trail".  The diagram can then no longer be converted to
+    AutoDiffXd.  What stands still is drawn by `DrawWaypoints`, `DrawField` and `DrawTube`, and
+    seen well from where `SetView` looks.
 
     To record, call ``visualizer.StartRecording()`` before the flight.  It takes its frame
     rate from the publish period; Meshcat's own default of 64 Hz fits no other period.
@@ -122,9 +126,11 @@ def AddFlightVisualization(
         publish_period: In s, a power of two: a recording's frame is the floor of time times
             rate, which for other periods rounds into the frame before, and leaves gaps.
         scale: Times which the quadrotor is drawn larger than it is.
+        name: Of the vehicle.
+        beside: What shows another vehicle of this diagram already; None: nothing does.
 
     Returns:
-        The systems that were added.
+        The systems that show the vehicle.
 
     Raises:
         ConfigurationError: if an argument cannot be used.
@@ -134,13 +140,28 @@ def AddFlightVisualization(
         raise ConfigurationError(
             f"publish_period must be a power of two, such as 1/32 s, got {publish_period}"
         )
-    scene_graph: Any = builder.AddNamedSystem("scene_graph", SceneGraph())
-    geometry = AddQuadrotorGeometry(builder, state_port, scene_graph, parameters, scale=scale)
-    visualizer = MeshcatVisualizer.AddToBuilder(
-        builder, scene_graph, meshcat, MeshcatVisualizerParams(publish_period=publish_period)
+    for taken in (f"{name}_geometry", "scene_graph" if beside is None else f"{name}_trail"):
+        if builder.HasSubsystemNamed(taken):
+            raise ConfigurationError(
+                f"the diagram has a system {taken!r} already: show another vehicle `beside` "
+                "the first, by another `name`"
+            )
+    scene_graph: Any
+    if beside is None:
+        scene_graph, trail_name = builder.AddNamedSystem("scene_graph", SceneGraph()), "trail"
+        visualizer = MeshcatVisualizer.AddToBuilder(
+            builder,
+            scene_graph,
+            meshcat,
+            MeshcatVisualizerParams(publish_period=publish_period),
+        )
+        visualizer.set_name("meshcat_visualizer")
+    else:
+        scene_graph, visualizer, trail_name = *beside[:2], f"{name}_trail"
+    geometry = AddQuadrotorGeometry(
+        builder, state_port, scene_graph, parameters, name, scale=scale
     )
-    visualizer.set_name("meshcat_visualizer")
-    trail = AddFlightTrail(builder, state_port, meshcat)
+    trail = AddFlightTrail(builder, state_port, meshcat, f"/{trail_name}", name=trail_name)
     return FlightVisualization(scene_graph, visualizer, geometry, trail)
 
 

@@ -127,7 +127,23 @@ def fly(
     sensors: Annotated[
         bool, typer.Option("--sensors", help="Measure with noise and delay, at 100 Hz.")
     ] = False,
-    seed: Annotated[int, typer.Option(help="Seed of the noise of --sensors.", min=0)] = 0,
+    wind: Annotated[
+        str | None,
+        typer.Option(help="Mean wind, m/s, as 2,0 or 2,0,0.5; it drags the vehicle."),
+    ] = None,
+    gust: Annotated[
+        float, typer.Option(help="Standard deviation of gusts on each axis, m/s.", min=0)
+    ] = 0.0,
+    compensate: Annotated[
+        bool,
+        typer.Option(
+            "--compensate",
+            help="Let the controller estimate what disturbs it, and make up for it.",
+        ),
+    ] = False,
+    seed: Annotated[
+        int, typer.Option(help="Seed of the noise of --sensors and of --gust.", min=0)
+    ] = 0,
     html: Annotated[
         bool, typer.Option("--html", help="Save recordings: pages that open offline.")
     ] = False,
@@ -161,7 +177,7 @@ def fly(
         run_tour,
     )
     from sgvf_drake.fields import DirectedField
-    from systems import SensorParameters
+    from systems import DEFAULT_GAINS, DISTURBANCE_BANDWIDTH, SensorParameters
 
     _check_exclusive(tour, route, to, cover)
     pieces = None if tour is None else _pieces_of(tour)
@@ -176,6 +192,10 @@ def fly(
         laps=laps if laps is not None else 1.0 if directed or tour else 2.0,
         altitude=altitude,
         sensors=SensorParameters() if sensors else None,
+        disturbance=_disturbance_of(wind, gust),
+        gains=DEFAULT_GAINS._replace(
+            disturbance_bandwidth=DISTURBANCE_BANDWIDTH if compensate else 0.0
+        ),
         seed=seed,
     )
     # Drake tells on its own where every Meshcat listens.
@@ -242,6 +262,21 @@ def _routes_of(
             raise ConfigurationError(f"--to {to} is no point, as 3.5,-2 is") from None
         return [to_point(network, target, spec)]
     return covering_routes(network)
+
+
+def _disturbance_of(wind: str | None, gust: float) -> Any:
+    """Reads --wind and --gust; None without either."""
+    from systems import Disturbance
+
+    if wind is None and gust == 0:
+        return None
+    try:
+        air = [float(speed) for speed in (wind or "0,0").split(",")]
+    except ValueError:
+        air = []
+    if len(air) not in (2, 3):
+        raise ConfigurationError(f"--wind {wind} is no velocity, as 2,0 or 2,0,0.5 is")
+    return Disturbance(wind=(air[0], air[1], air[2] if len(air) == 3 else 0.0), gust=gust)
 
 
 def _pieces_of(tour: str) -> list[int]:

@@ -22,8 +22,11 @@ from sgvf_drake.paths import ReferencePath
 from sgvf_drake.paths.itinerary import Itinerary
 from sgvf_drake.progress import Progress, no_progress
 from systems import (
+    DEFAULT_GAINS,
     Branch,
+    Disturbance,
     FieldForSpeed,
+    Gains,
     MakeFlightDiagram,
     MakeSimulator,
     QuadrotorParameters,
@@ -73,7 +76,9 @@ class FlightSpec:
         altitude: Height of the flight where the field is planar, m.
         parameters: The vehicle; by default the paper's.
         sensors: Noise, delay and rates of the measurements; None: they are ideal.
-        seed: Seed of the noise of the sensors.
+        disturbance: Wind, drag, motor lag and what else is not as believed; None: nothing is.
+        gains: Of the controller; with a disturbance bandwidth it makes up for that.
+        seed: Seed of the noise of the sensors and of the gusts.
         start: Position p_WB (x, y, z) of the hover that the flight starts from, m; None:
             beside the path, see `hover_start`.
         duration: Time of the flight, longer than the take-off, s; None: enough for the path.
@@ -87,6 +92,8 @@ class FlightSpec:
     altitude: float = DEFAULT_ALTITUDE
     parameters: QuadrotorParameters = field(default_factory=QuadrotorParameters)
     sensors: SensorParameters | None = None
+    disturbance: Disturbance | None = None
+    gains: Gains = DEFAULT_GAINS
     seed: int = 0
     start: tuple[float, ...] | None = None
     duration: float | None = None
@@ -316,6 +323,8 @@ def simulate(
         altitude=spec.altitude,
         log_period=LOG_PERIOD,
         sensors=spec.sensors,
+        disturbance=spec.disturbance,
+        gains=spec.gains,
         supervisor=supervisor,
         lyapunov=lyapunov,
         level=level,

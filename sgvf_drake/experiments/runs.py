@@ -331,7 +331,17 @@ def _flight_origin(
 ) -> dict[str, Any]:
     """Returns what a flight was measured against and by, and where its field comes from."""
     sensors = spec.sensors and {**asdict(spec.sensors), "seed": spec.seed}
-    return {"reference": reference, "sensors": sensors, **origin(field)}
+    disturbance = spec.disturbance and {
+        **asdict(spec.disturbance),
+        "disturbance_bandwidth": spec.gains.disturbance_bandwidth,
+        "seed": spec.seed,
+    }
+    return {
+        "reference": reference,
+        "sensors": sensors,
+        "disturbance": disturbance,
+        **origin(field),
+    }
 
 
 def run_demo(

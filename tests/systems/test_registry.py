@@ -30,6 +30,8 @@ from systems import (
     Body,
     Branch,
     BranchSupervisor,
+    Disturbance,
+    DisturbedQuadrotor,
     Dropout,
     FlightTrail,
     GuidanceLoop,
@@ -253,6 +255,7 @@ CASES = {
 PARAMETERS = [(name, parameter) for name in CASES for parameter in CASES[name].parameters]
 # The systems that are no templates: for float only, or whole diagrams.
 PLAIN = {
+    "DisturbedQuadrotor": lambda: DisturbedQuadrotor(QuadrotorParameters(), Disturbance()),
     "FlightTrail": lambda: FlightTrail(MakeMeshcat(port=0)),
     "GuidanceLoop": lambda: GuidanceLoop(
         GuidanceSystem(CircleField()), Se3Controller(), IdealMotionCapture()

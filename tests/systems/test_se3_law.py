@@ -64,11 +64,14 @@ def random_case(seed):
     return state, state[6:9] + rng.uniform(-0.5, 0.5, 3), rng.uniform(-2.0, 2.0, 3), gains
 
 
-def law(state, velocity_command, acceleration, gains=DEFAULT_GAINS):
+def law(
+    state, velocity_command, acceleration, gains=DEFAULT_GAINS, disturbance=(0.0, 0.0, 0.0)
+):
     thrust, torque = CalcThrustAndTorque(
         state.tolist(),
         velocity_command.tolist(),
         acceleration.tolist(),
+        list(disturbance),
         gains,
         Body(PARAMETERS.mass, *PARAMETERS.inertia),
         PARAMETERS.gravity,
@@ -85,13 +88,14 @@ def desired_rotation(F, heading):
     return np.column_stack((np.cross(b2, b3), b2, b3))
 
 
-def lee(state, velocity_command, acceleration, gains):
+def lee(state, velocity_command, acceleration, gains, disturbance):
     """Lee et al. 2010, with matrices and numerical rates of R_d."""
     m, g, J = PARAMETERS.mass, PARAMETERS.gravity, np.diag(PARAMETERS.inertia)
     v = state[6:9]
     R = RollPitchYaw(state[3:6]).ToRotationMatrix().matrix()
     w = RollPitchYaw(state[3:6]).CalcAngularVelocityInChildFromRpyDt(state[9:12])
-    F = m * (acceleration + gains.velocity_gain * (velocity_command - v) + g * E3)
+    wanted = acceleration + gains.velocity_gain * (velocity_command - v) - disturbance
+    F = m * (wanted + g * E3)
     turn = np.cross(v, acceleration) / (v @ v + SLOW_SPEED**2)
 
     def attitude(t):
@@ -119,8 +123,10 @@ def lee(state, velocity_command, acceleration, gains):
 @pytest.mark.parametrize("seed", range(10))
 def test_law_agrees_with_lee_et_al(seed):
     case = random_case(seed)
-    thrust, torque = law(*case)
-    expected_thrust, expected_torque = lee(*case)
+    # Half of the cases are disturbed.
+    disturbance = (seed % 2) * np.random.default_rng(seed).uniform(-1.0, 1.0, 3)
+    thrust, torque = law(*case, disturbance)
+    expected_thrust, expected_torque = lee(*case, disturbance)
     assert thrust == pytest.approx(expected_thrust, rel=1e-12)
     # The numerical rates of R_d are good to about 1e-6.
     np.testing.assert_allclose(

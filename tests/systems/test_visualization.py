@@ -98,6 +98,29 @@ def test_the_vehicle_its_trail_and_the_users_geometry_are_in_the_scene(
     assert names >= {"scene_graph", "quadrotor_geometry", "meshcat_visualizer", "trail"}
 
 
+def test_vehicles_are_shown_beside_each_other(circle_field, clean_meshcat):
+    builder, shown = DiagramBuilder(), None
+    for name in ("first", "second"):
+        plant = builder.AddNamedSystem(name, PARAMETERS.MakePlant())
+        AddGuidance(builder, circle_field, plant, PARAMETERS, name=f"{name}_loop")
+        port = plant.GetOutputPort("state")
+        options = {"name": name, "beside": shown}
+        shown = AddFlightVisualization(builder, port, PARAMETERS, clean_meshcat, **options)
+    with pytest.raises(ConfigurationError, match="'second_geometry' already"):
+        AddFlightVisualization(builder, port, PARAMETERS, clean_meshcat, **options)
+    with pytest.raises(ConfigurationError, match="'scene_graph' already: show another"):
+        AddFlightVisualization(builder, port, PARAMETERS, clean_meshcat, name="third")
+    diagram = builder.Build()
+    simulator = MakeSimulator(diagram)
+    for name, x in (("first", 1.3), ("second", 0.8)):
+        SetHover(diagram, simulator.get_mutable_context(), (x, 0.0, 1.0), f"{name}_loop")
+    simulator.AdvanceTo(0.3)
+    for path in ("first/propeller_0", "second/propeller_0"):
+        assert clean_meshcat.HasPath(f"/drake/visualizer/{path}")
+    assert clean_meshcat.HasPath("/trail")
+    assert clean_meshcat.HasPath("/second_trail")
+
+
 # The view.
 
 

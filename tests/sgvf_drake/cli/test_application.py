@@ -54,6 +54,7 @@ def test_usage_errors(run, tmp_path, monkeypatch, capsys):
         ("follow --out out", "FIELD"),
         ("fly field --spede 1 --out out", "--spede"),
         ("fly field --sensors --seed -1 --out out", "--seed"),
+        ("fly field --gust -1 --out out", "--gust"),
         ("flly", "flly"),
     ):
         assert run(*arguments.split()) == 2

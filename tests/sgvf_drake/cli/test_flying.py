@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from systems import Mode, SensorParameters
+from systems import DISTURBANCE_BANDWIDTH, Disturbance, Mode, SensorParameters
 from tests.fields import exact_field as exact_field_at
 from tests.fields import linear_network
 from tests.helpers import circle, ink, names_in, summary_of
@@ -82,7 +82,26 @@ def test_a_tour_is_replaced_when_asked_and_prints_its_parts(
     summary = summary_of(out)
     assert [leg["piece"] for leg in summary["legs"]] == [0]
     assert summary["sensors"] is None
+    assert summary["disturbance"] is None
     assert summary["duration_s"] >= 0.98 * 2 * 2 * np.pi * (2.0 * SCALE) / 2.0
+
+
+def test_wind_drifts_a_flight_unless_it_is_made_up_for(run, inputs, tmp_path):
+    options = ("--tour", "1", "--scale", SCALE, "--speed", 0.5, "--wind", "2,0", "--gust", 0.1)
+    errors = []
+    for name, more in (("drifts", ()), ("keeps", ("--compensate",))):
+        flight = ("fly", inputs / "field.safetensors", *options, *more)
+        assert run(*flight, "--seed", 3, "--out", tmp_path / name) == 0
+        summary = summary_of(tmp_path / name)
+        air = Disturbance(wind=(2.0, 0.0, 0.0), gust=0.1)
+        assert summary["disturbance"] == {
+            **asdict(air),
+            "wind": [2.0, 0.0, 0.0],
+            "disturbance_bandwidth": DISTURBANCE_BANDWIDTH if more else 0.0,
+            "seed": 3,
+        }
+        errors.append(summary["legs"][0]["cross_track_rms_m"])
+    assert errors[0] > 3.0 * errors[1]
 
 
 def test_a_flight_leaves_a_page_and_can_be_watched_live(run, inputs, tmp_path, capsys):
