@@ -41,7 +41,7 @@ damping ratio of 1, makes the turn-in at 4 m/s oscillate."""
 
 
 DISTURBANCE_BANDWIDTH = 6.0
-"""rad/s, for the estimate of what disturbs a vehicle: half of that of the attitude that answers.
+"""rad/s, of the estimate of what disturbs a vehicle: half of that of the attitude that answers.
 On a circle of 1 m, with a delay of 30 ms and wind of 3 m/s, it leaves 3 mm of 190 mm."""
 
 
