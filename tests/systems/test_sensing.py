@@ -23,7 +23,7 @@ from scipy.signal import lfilter
 from sgvf_drake.exceptions import ConfigurationError
 from systems import Dropout, IdealMotionCapture, MotionCapture, SensorParameters
 from systems.quadrotor import ATTITUDE, POSITION, RATES, VELOCITY
-from systems.sensing import Concatenation
+from systems.sensing import Concatenation, DrawNoise
 
 NOISELESS = SensorParameters(position_noise=0.0, attitude_noise=0.0, rate_noise=0.0)
 PERIOD, ONBOARD_PERIOD = NOISELESS.sample_period, NOISELESS.onboard_period
@@ -86,7 +86,7 @@ class Setup:
     def noise(self, seed=None, duration=0.4):
         """The log of a new simulation, without what holds at the start."""
         if seed is not None:
-            self.capture.SetNoiseSeed(self.own, seed)
+            DrawNoise(self.capture, self.own, RandomGenerator(seed))
         self.simulator.AdvanceTo(duration)
         return self.log.FindLog(self.context).data().T[1:]
 
