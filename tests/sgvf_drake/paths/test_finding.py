@@ -118,6 +118,14 @@ def test_streets() -> None:
     assert not network.is_one_way(0)
 
 
+def test_no_line_turns_back_at_its_end() -> None:
+    """Single points of the ridge before an end are joined in their order."""
+    network = find_paths(PointCloud(SHAPES["Y"].sample(600, 0.02, random=False, seed=4)))
+    for edge in network.edges:
+        chord = np.linalg.norm(edge.line.vertices[-1] - edge.line.vertices[0])
+        assert edge.length < 1.03 * chord
+
+
 def test_a_letter_whose_apex_is_no_junction() -> None:
     rng = np.random.default_rng(1)
     legs = [np.linspace(a, b, 60) for a, b in (((-20, -40), (0, 40)), ((0, 40), (20, -40)))]
