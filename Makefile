@@ -25,7 +25,8 @@ export MPLBACKEND ?= Agg
 # Material for MkDocs advertises its successor at every build.
 export NO_MKDOCS_2_WARNING := 1
 
-.PHONY: demo test test-full test-data browser check docs format bench bench-learning bench-paths clean
+.PHONY: demo test test-full test-data browser check docs format clean
+.PHONY: bench bench-learning bench-paths bench-networks
 
 demo: $(VENV)/.run-time
 	$(BIN)/sgvf demo --out demo --overwrite
@@ -69,6 +70,9 @@ bench-learning: $(VENV)/.development
 
 bench-paths: $(VENV)/.development
 	$(BIN)/python -m tests.benchmarks.paths
+
+bench-networks: $(VENV)/.development
+	$(BIN)/python -m tests.benchmarks.networks
 
 clean:
 	rm -rf .venv* demo build site dist *.egg-info .pytest_cache .mypy_cache .ruff_cache

@@ -110,17 +110,16 @@ def straight_fraction(
 def turn_fraction(passed: Sequence[Sequence[Passage]], itinerary: Itinerary) -> float | None:
     """The part of the nodes of an itinerary that were left as it says; None if none was passed.
 
-    An agent follows it from the first of its edges on that it runs along.
+    An agent follows it from the first of its edges on that it runs along.  Where it has that
+    edge several times, the agent came to the one from which on it follows best.
     """
     numbers = itinerary.edges
     following = list(itertools.pairwise(numbers + numbers[:1] if itinerary.closed else numbers))
     done: list[bool] = []
     for own in passed:
-        place: int | None = None
-        for before, after in itertools.pairwise(own):
-            place = _next(following, before.edge, place)
-            if place is not None:
-                done.append(after.edge == following[place][1])
+        edges = [passage.edge for passage in own]
+        turns = [_turns(edges, following, first) for first in range(len(following))]
+        done += max(turns, key=sum, default=[])
     return sum(done) / len(done) if done else None
 
 
@@ -162,12 +161,18 @@ def _left(positions: FloatArray, gate: _Gate) -> bool:
     return bool((np.linalg.norm(positions - gate.place, axis=1) > gate.radius).any())
 
 
-def _next(following: Sequence[tuple[int, int]], edge: int, last: int | None) -> int | None:
-    """The place of an edge in an itinerary, the next one after the last place."""
-    count = len(following)
-    first = 0 if last is None else last + 1
-    places = [k % count for k in range(first, first + count)]
-    return next((k for k in places if following[k][0] == edge), None)
+def _turns(
+    edges: Sequence[int], following: Sequence[tuple[int, int]], first: int
+) -> list[bool]:
+    """Whether edges that an agent ran along were left as an itinerary says, from a place on."""
+    done = []
+    for edge, after in itertools.pairwise(edges):
+        places = [k % len(following) for k in range(first, first + len(following))]
+        place = next((k for k in places if following[k][0] == edge), None)
+        if place is not None:
+            done.append(after == following[place][1])
+            first = place + 1
+    return done
 
 
 def _gates(network: PathNetwork) -> list[_Gate]:

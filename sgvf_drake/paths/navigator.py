@@ -17,7 +17,8 @@ BEHIND, AHEAD = 1.0, 6.0
 """An agent is looked for from this far behind its last place to this far ahead, in sigma."""
 
 TIE = 1.5
-"""Strands this much farther than the nearest one, in sigma, are told apart by the heading."""
+"""Of strands this far, in sigma, from an agent on another one the heading chooses.  Of agents off
+all strands the squared distances differ by no more, for a field attracts by these."""
 
 FIRST = SAMPLING
 """The first of several strands is taken whose distances differ by less than this, in sigma, as
@@ -89,7 +90,7 @@ class Navigator:
         distance = self._distances(x)
         cost = distance + FIRST / self._length * self._arcs
         if h is not None:
-            near = distance <= distance.min(axis=1, keepdims=True) + TIE
+            near = distance**2 <= distance.min(axis=1, keepdims=True) ** 2 + TIE**2
             # It outweighs what the distances of near strands differ by.
             along = 2 * TIE * (h @ self._tangents.T)
             cost = np.where(near, cost - along, np.inf)

@@ -330,7 +330,11 @@ def _bridge_gaps(skeleton: Skeleton, sampling: Sampling, sigma: float) -> None:
 def _bridge_once(
     skeleton: Skeleton, sigma: float, alignment: float, to_tip: float, to_side: float
 ) -> bool:
-    """Builds the bridges that cost least, at most one a tip; returns whether there was one."""
+    """Builds the bridges that cost least, at most one a tip; returns whether there was one.
+
+    A tip waits whose best bridge leads to one that has just got another: that may have become a
+    strand, and the next best bridge lead to its far end.
+    """
     headings = {i: _heading(skeleton, i, sigma) for i in _loose(skeleton)}
     bridges = []
     for tip, other in _near(skeleton, headings, headings, to_tip):
@@ -346,7 +350,7 @@ def _bridge_once(
     for _, tip, other in sorted(bridges):
         if tip not in used and other not in used:
             skeleton.join(tip, other)
-            used |= {tip, other} & headings.keys()
+        used |= {tip, other} & headings.keys()
     return bool(used)
 
 

@@ -120,6 +120,15 @@ def test_a_route_that_is_left_counts_as_left() -> None:
     assert turn_fraction(passages(motion[:, None], network), wish) == 0
 
 
+def test_a_route_may_be_joined_on_an_edge_that_it_has_twice() -> None:
+    network = found("grid")
+    tour = covering(network)
+    assert len(set(tour.edges)) < len(tour.edges)
+    whole = passages(along(tour, 2), network)[0]
+    for joined in range(len(tour.edges)):
+        assert turn_fraction([whole[joined:]], tour) == 1
+
+
 def test_the_error_is_to_the_edge_in_use_and_not_to_the_nearest_one() -> None:
     network = found("X")
     ahead = straight_on(network)

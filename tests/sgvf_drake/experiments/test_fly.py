@@ -15,9 +15,11 @@ from sgvf_drake.experiments import (
     choose_reference,
     fly,
     fly_tour,
+    follow,
     simulate,
 )
-from sgvf_drake.experiments.flight import flown_pieces, hover_start
+from sgvf_drake.experiments.flight import TAKE_OFF_S, flown_pieces, hover_start
+from sgvf_drake.learning import TrainingConfig, train
 from sgvf_drake.paths import Piece, ReferencePath
 from systems import FieldForSpeed, QuadrotorParameters
 
@@ -306,3 +308,21 @@ def test_a_flight_has_a_start_and_time(rings, half_circle):
     assert open_.duration == pytest.approx(1.0 + (4 * np.pi + 3.0) / 0.2 + 3.0, rel=1e-3)
     own = replace(spec, start=(0.0, 0.0, 1.0), duration=2.0)
     assert own.along(field, rings, 0) == own
+
+
+def test_a_course_over_a_bridge_and_under_it_is_flown():
+    """The plan of this eight crosses itself; its strands pass 1.5 m above each other there."""
+    t = 2 * np.pi * np.arange(200) / 200
+    points = np.column_stack([3 * np.sin(t), 1.5 * np.sin(2 * t), 1.5 + 0.75 * np.cos(t)])
+    cloud = PointCloud(np.random.default_rng(0).permutation(points))
+    result = train(cloud, TrainingConfig(recipe="exact", max_restarts=0))
+    assert result.network.kind(0) == "closed path"
+    assert result.network.is_simple(0)
+    true = ReferencePath((Piece(points, closed=True),))
+    summary = follow(result.guiding_field, true, starts=30).summary()
+    assert summary["lap_fraction"] == 1.0
+    (flight,) = fly(result.guiding_field, true, speed=0.45, laps=1.0).flights
+    assert flight.summary["laps"] >= 1.0
+    assert flight.summary["cross_track_rms_m"] <= 0.02 * cloud.unit_length
+    flying = flight.log[flight.log["time"] > TAKE_OFF_S]
+    assert np.linalg.norm(flying[["vx", "vy", "vz"]], axis=1).min() > 0.8 * 0.45

@@ -261,6 +261,15 @@ def test_an_eight_is_crossed_straight():
         )
 
 
+def test_away_from_a_corner_the_heading_does_not_choose_the_farther_strand():
+    """There a field leads to the nearer one, where the direction of the other is across."""
+    corner = Itinerary.along([1, -2], arms(90, 0), closed=False)
+    navigator = Navigator(corner, 0.1)
+    x, h = np.array([[-0.8, 0.7], [-0.1, 0.0]]), np.array([[0.0, 1.0], [0.0, 1.0]])
+    state = navigator.start(x, h)
+    np.testing.assert_allclose(state.arc, [3.2, 4.0], atol=0.02)
+
+
 def test_agents_in_a_batch_are_as_if_alone():
     network = found("roundabout")
     navigator = Navigator(covering(network), SIGMA)
