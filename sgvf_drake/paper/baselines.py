@@ -85,7 +85,9 @@ CAPTIONS = {
     "order has the same trials here as shuffled.",
     "shuffled": "The same waypoints in random order.",
     "noisy": "The same with noise of 0.05 U, in random order.",
-    "branching": "Three bent arms from one middle, arm by arm, from the middle out.",
+    "branching": "Three bent arms from one middle, arm by arm, from the middle out. Sorting "
+    "makes a curve of each arm, which agents leave the middle by: none passes the waypoints "
+    "beside it.",
     "pieces": "Two concentric circles, one after the other.",
     "corners": "A square, in order; SGVF at corners has an experiment of its own.",
     "eight": "A figure-eight, in order; it is lapped straight over its crossing.",
@@ -340,7 +342,7 @@ def _table(case: str, cells: pd.DataFrame) -> pd.DataFrame:
 
 def _followed(success: float, covered: float) -> str:
     part = f"{100 * success:.0f} %"
-    return f"{part} on {100 * covered:.0f} % of it" if success >= HANDLED > covered else part
+    return f"{part} on {100 * covered:.3g} % of it" if success >= HANDLED > covered else part
 
 
 def _sides(case: str, cells: Cells) -> set[bool]:
