@@ -51,6 +51,8 @@ class NetworkMetrics:
             to the end, or, on a network, all the time since it came to it; NaN where it did
             not.
         maximum: The largest distance over the same time.
+        first: The first sample of that time.
+        until: The last one.
         errors: (T, n) the distances from the edges in use.
         straight_fraction: The part of the crossings driven straight over; None: none
             was passed.
@@ -66,6 +68,8 @@ class NetworkMetrics:
     kind: list[str]
     rms: FloatArray
     maximum: FloatArray
+    first: IntArray
+    until: IntArray
     errors: FloatArray
     straight_fraction: float | None
     turn_fraction: float | None
@@ -155,7 +159,8 @@ def network_metrics(
             counts[k] = lapped[k]
         elif kinds[k] == "open path":
             ended[k] = at_end[k] and _in_order([p.edge for p in passed[k]], numbers)
-            first[k], last[k] = reach[k], _arrival(positions[:, k], ends, unit) + 1
+            first[k] = reach[k]
+            last[k] = max(_arrival(positions[:, k], ends, unit), reach[k]) + 1
             counts[k] = ended[k]
         else:
             first[k] = np.searchsorted(times, times[reach[k]] + WAY_OFF * unit)
@@ -175,6 +180,8 @@ def network_metrics(
         kind=kinds,
         rms=np.array([np.sqrt((values**2).mean()) for values in own]),
         maximum=np.array([values.max() for values in own]),
+        first=first,
+        until=last - 1,
         errors=errors,
         straight_fraction=straight_fraction(passed, network),
         turn_fraction=None if route is None else turn_fraction(passed, route),

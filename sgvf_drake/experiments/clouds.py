@@ -14,6 +14,7 @@ import io
 from typing import Literal, get_args
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
 from sgvf_drake.clouds import PointCloud
@@ -47,6 +48,25 @@ TREFOIL_DEPTH = 0.3
 # so that the straight way back from a tip does not run along an arm.
 FORK_RADIUS = 3.0
 FORK_ARMS = 3
+
+# The eight (Gerono's lemniscate) and the knot: half of their extent along x.
+CROSSING_RADIUS = 4.0
+# A race course as that of Suzuka: from the straight that passes over the bridge, through the
+# bends, below the bridge, and by the hairpin back to the straight.
+COURSE = (
+    *((-2.0, 1.1), (0.0, 0.0), (1.2, -0.9), (2.0, -1.1), (2.6, -1.6), (3.4, -1.5)),
+    *((4.0, -0.6), (3.6, 0.3), (2.9, 0.1), (2.3, 0.7), (1.7, 0.6), (1.1, 1.1)),
+    *((0.5, 0.8), (0.0, 0.0), (-0.5, -0.9), (-1.4, -1.3), (-2.4, -1.5), (-2.8, -1.0)),
+    *((-2.3, -0.5), (-3.0, -0.1), (-3.9, 0.2), (-4.0, 1.0), (-3.3, 1.5)),
+)
+# The stroke: x = a (t^3 - t), y = b t^2, which crosses itself at t = -1 and 1.
+STROKE_END, STROKE_WIDTH, STROKE_HEIGHT = 1.3, 3.9, 4.7
+# Seven streets, from where to where; four end in the middle of another one.
+STREETS = (
+    *(((0, 0), (8, 0)), ((0, 4), (10, 4)), ((0, 8), (8, 8))),
+    *(((0, 0), (0, 8)), ((4, 0), (4, 8)), ((8, 0), (8, 8))),
+    ((4, 4), (8, 8)),
+)
 
 # Race circuits are a Fourier series r(angle) about a radius, of the half-extent of the
 # larger shapes, so that their noise levels mean the same.
@@ -242,6 +262,40 @@ def _fork() -> ReferencePath:
     return ReferencePath(tuple(pieces))
 
 
+def _eight() -> ReferencePath:
+    angle = 2 * np.pi * np.arange(CURVE_VERTICES) / CURVE_VERTICES
+    curve = np.column_stack([np.sin(angle), np.sin(angle) * np.cos(angle)])
+    return ReferencePath((Piece(CROSSING_RADIUS * curve, closed=True),))
+
+
+def _knot() -> ReferencePath:
+    """A trefoil knot: its three crossings in the plane are bridges in space."""
+    angle = 2 * np.pi * np.arange(CURVE_VERTICES) / CURVE_VERTICES
+    x = np.sin(angle) + 2 * np.sin(2 * angle)
+    y = np.cos(angle) - 2 * np.cos(2 * angle)
+    curve = np.column_stack([x, y, -1.2 * np.sin(3 * angle)])
+    return ReferencePath((Piece(CROSSING_RADIUS / x.max() * curve, closed=True),))
+
+
+def _course() -> ReferencePath:
+    corners = np.array([*COURSE, COURSE[0]])
+    steps = np.linalg.norm(np.diff(corners, axis=0), axis=1)
+    arc = np.append(0.0, np.cumsum(steps))
+    spline = CubicSpline(arc, corners, bc_type="periodic")
+    at = np.linspace(0, arc[-1], CURVE_VERTICES, endpoint=False)
+    return ReferencePath((Piece(spline(at), closed=True),))
+
+
+def _stroke() -> ReferencePath:
+    t = np.linspace(-STROKE_END, STROKE_END, CURVE_VERTICES)
+    curve = np.column_stack([STROKE_WIDTH * (t**3 - t), STROKE_HEIGHT * t**2])
+    return ReferencePath((Piece(curve, closed=False),))
+
+
+def _streets() -> ReferencePath:
+    return ReferencePath(tuple(Piece(np.array(s, float), closed=False) for s in STREETS))
+
+
 def _circuit(seed: int) -> ReferencePath:
     """A closed curve r(angle) by a Fourier series, with a hairpin folded in at angle zero."""
     rng = np.random.default_rng(seed)
@@ -280,6 +334,11 @@ PATHS: dict[str, Callable[[], ReferencePath]] = {
     "hairpin": _hairpin,
     "trefoil": _trefoil,
     "fork": _fork,
+    "eight": _eight,
+    "course": _course,
+    "stroke": _stroke,
+    "streets": _streets,
+    "knot": _knot,
     **{name: partial(_circuit, seed) for seed, name in enumerate(CIRCUITS, start=1)},
     **{name: partial(_handwriting, name) for name in HANDWRITING},
 }

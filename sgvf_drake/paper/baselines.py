@@ -3,10 +3,15 @@
 A method handles a case if 95 % of the starts succeed and 95 % of the waypoints are passed,
 on average over the seeds; in part, if half of both; it is broken if 5 % of the starts succeed,
 or fewer.
+
+A start succeeds where its agent laps a closed path; where the path branches there is no lap,
+and it has to stay on the path and to stop nowhere but at a tip; where the path crosses itself
+it has to go straight over.  All fields are measured so, against the true path, also those
+that know their heading.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -15,21 +20,29 @@ import timeit
 from typing import Any
 
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 import numpy as np
 import pandas as pd
 
 from sgvf_drake import plotting
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.experiments.follow import FollowResult, PathField, follow
+from sgvf_drake.experiments.follow import FollowResult, PathField, follow, follow_network
 from sgvf_drake.experiments.workbench import Row, Workbench
-from sgvf_drake.fields import ParametricField
+from sgvf_drake.fields import DirectedField, Field, ParametricField
 from sgvf_drake.learning.recipes import RECIPES
 from sgvf_drake.metrics import default_duration
 from sgvf_drake.paper.claims import Claim, Count, Figures, Rows, Verdict, every
 from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, check_names, run_trials
 from sgvf_drake.paper.intervals import SHARE, interval, interval_columns, over_seeds
-from sgvf_drake.paper.methods import CASES, LEARNED, METHODS, make_case
-from sgvf_drake.paper.ways import Ways, coverage, effort, errors, find_ways
+from sgvf_drake.paper.methods import CASES, DIRECTED, LEARNED, METHODS, make_case
+from sgvf_drake.paper.ways import (
+    Ways,
+    coverage,
+    crossing_ways,
+    effort,
+    errors,
+    find_ways,
+)
 from sgvf_drake.paths import ReferencePath
 
 HANDLED, HALF, BROKEN = 0.95, 0.5, 0.05
@@ -43,25 +56,48 @@ SHOWN = 6.0
 # Of the figure, where they were run: enough to see what happens.
 SHOWN_METHODS = ("implicit", "fourier", "smoothed", "paper", "robust")
 SHOWN_CASES = ("ordered", "shuffled", "noisy", "branching", "pieces")
-# Cases for the classical methods alone: the corners of SGVF are an experiment of their own.
-CLASSICAL_CASES = ("corners",)
+SHOWN_ON_NETWORKS = ("smoothed", "guided", "robust", "directed")
+# Paths that cross or branch, for directed fields; others have one direction everywhere.
+NETWORK_CASES = ("branching", "eight", "course", "demonstrations", "streets")
+UNORDERED_OR_BRANCHING = ("ordered", "shuffled", "noisy", "branching", "pieces", "streets")
+# What is left out: SGVF at corners, which is an experiment of its own; the implicit curve in
+# space; and where the paper claims nothing, of the fields of the position alone all but ours.
+LEFT_OUT = {
+    **dict.fromkeys(("ordered", "shuffled", "noisy", "pieces"), DIRECTED),
+    "corners": LEARNED,
+    **dict.fromkeys(("eight", "course", "demonstrations"), ("paper", "exact")),
+    "streets": ("exact",),
+    "space": ("implicit", "paper", "exact", *DIRECTED),
+}
 INTERPOLATIONS = ("fourier", "lagrange", "parametric")
 CLASSICAL = tuple(name for name in METHODS if name not in LEARNED)
+STATELESS = tuple(name for name in LEARNED if name not in DIRECTED)
 TAKING_ORDER = tuple(name for name in METHODS if METHODS[name].takes_order)
 
 _FIGURE_CAPTION = (
-    "starts on every cloud, first seed: blue where an agent laps the path (on the branching "
-    "one: stays on it, and stops only at a tip), red where it does not. Above each panel the "
-    "share of those that do, and of how many of the waypoints if that is not all."
+    "starts on every cloud, first seed: blue where an agent laps the path (where it branches: "
+    "stays on it, and stops only at a tip; where it crosses: goes straight over), red where it "
+    "does not. Above each panel the share of those that do, and of how many of the waypoints "
+    "if that is not all."
 )
 CAPTIONS = {
     "ordered": "Evenly spaced waypoints on a smooth curve, in their order. What asks for no "
     "order has the same trials here as shuffled.",
     "shuffled": "The same waypoints in random order.",
     "noisy": "The same with noise of 0.05 U, in random order.",
-    "branching": "Three bent arms from one middle, arm by arm, from the middle out.",
+    "branching": "Three bent arms from one middle, arm by arm, from the middle out. Sorting "
+    "makes a curve of each arm, which agents leave the middle by: none passes the waypoints "
+    "beside it.",
     "pieces": "Two concentric circles, one after the other.",
     "corners": "A square, in order; SGVF at corners has an experiment of its own.",
+    "eight": "A figure-eight, in order; it is lapped straight over its crossing.",
+    "course": "A race course that crosses itself once, in random order, with noise of 0.05 U.",
+    "demonstrations": "Five demonstrations of one stroke that crosses itself, one after the "
+    "other, each shifted by 0.1 U: an agent has to follow it to an end, straight over the "
+    "crossing. The parametric field is that of a closed curve, and never rests.",
+    "streets": "Seven streets, one after the other, with five junctions, a crossing and a dead "
+    "end: there is no lap; an agent has to stay on them, and stops only at the dead end.",
+    "space": "A knot in space, in random order; an implicit curve is planar.",
 }
 Cells = Sequence[tuple[str, str]]
 """Cases, each with a method that is run on it."""
@@ -98,11 +134,16 @@ def measure_baseline(trial: BaselineTrial, folder: Path) -> Row:
     begin = time.process_time()
     field = METHODS[trial.method].build(cloud, trial.seed)
     point = cloud.points[0]
-    state = field.lift(point[None])[0] if isinstance(field, ParametricField) else point
-    field(state)
+    motion: Field = field.with_memory() if isinstance(field, DirectedField) else field
+    state = point
+    if isinstance(field, ParametricField):
+        state = field.lift(point[None])[0]
+    elif isinstance(field, DirectedField):
+        state = np.concatenate([point, np.eye(cloud.dim)[0]])
+    motion(state)
     build_s = time.process_time() - begin
-    run, ways = follow_case(field, reference, trial.method, trial.starts, folder)
-    seconds = timeit.repeat(lambda: field(state), number=EVALUATIONS, repeat=ROWS)
+    run, ways = follow_case(field, reference, trial, folder)
+    seconds = timeit.repeat(lambda: motion(state), number=EVALUATIONS, repeat=ROWS)
     return {
         "success": float(ways.good.mean()),
         "coverage": coverage(run, ways, cloud),
@@ -114,17 +155,29 @@ def measure_baseline(trial: BaselineTrial, folder: Path) -> Row:
 
 
 def follow_case(
-    field: PathField, reference: ReferencePath, method: str, starts: int, folder: Path
+    field: PathField, reference: ReferencePath, trial: BaselineTrial, folder: Path
 ) -> tuple[FollowResult, Ways]:
-    """Follows the field of a method; leaves what `draw_trajectories` draws.
+    """Follows the field of a trial; leaves what `draw_trajectories` draws.
 
-    That is waypoints and agents in U, and who succeeded.
+    That is waypoints and agents in U, and who succeeded.  A directed field is followed by
+    agents that remember their heading, at first one by chance; all are measured against the
+    true path.
     """
-    cloud = field.cloud
+    cloud, method = field.cloud, trial.method
     patience = RECIPES[method].patience if method in RECIPES else 1.0
     duration = patience * default_duration(reference, cloud.unit_length)
-    run = follow(field, reference, starts, duration)
-    ways = find_ways(run, reference, cloud.unit_length, patience)
+    run: FollowResult
+    if isinstance(field, DirectedField):
+        run = follow_network(field, trial.starts, duration, seed=trial.seed)
+        places = run.positions.reshape(-1, cloud.dim)
+        distance = reference.project(places).distance
+        run = replace(run, errors=distance.reshape(run.errors.shape))
+    else:
+        run = follow(field, reference, trial.starts, duration)
+    if CASES[trial.case].crosses:
+        ways = crossing_ways(run, reference, field)
+    else:
+        ways = find_ways(run, reference, cloud.unit_length, patience)
     np.savez_compressed(
         folder / TRAJECTORIES,
         points=cloud.normalize(cloud.points),
@@ -192,7 +245,8 @@ class BaselineComparison(Experiment):
         takes_order = METHODS[method].takes_order
         if case == "ordered" and not takes_order:
             case = "shuffled"
-        by_chance = CASES[case].noise > 0 or (CASES[case].shuffled and takes_order)
+        own = CASES[case]
+        by_chance = own.noise > 0 or own.passes or (own.shuffled and takes_order)
         if method not in LEARNED and not by_chance:
             seed = self.seeds[0]
         return BaselineTrial(case, method, seed, self.starts)
@@ -203,7 +257,7 @@ class BaselineComparison(Experiment):
             (case, method)
             for case in self.cases
             for method in self.methods
-            if not (case in CLASSICAL_CASES and method in LEARNED)
+            if method not in LEFT_OUT.get(case, ())
         ]
 
     def claims(self) -> list[Claim]:
@@ -211,14 +265,12 @@ class BaselineComparison(Experiment):
         run, found = self._cells(), []
         for key, source, statement, cases, methods, measure, rule in _CLAIMS:
             cells = [(case, name) for case in cases for name in methods if (case, name) in run]
+            if measure is _advantage:
+                cells = [cell for cell in cells if _sides(cell[0], cells) == {True, False}]
             if cells:
                 measured = partial(measure, cells=cells)
-                found.append(Claim(key, source, statement, measured, rule))
-        compared = [case for case in self.cases if _sides(case, run) == {True, False}]
-        if compared:
-            cells = [cell for cell in run if cell[0] in compared]
-            measured = partial(_advantage, cells=cells)
-            found.append(Claim(*_ADVANTAGE, measured, _has_advantage))
+                of_paper = set(methods).isdisjoint(DIRECTED)
+                found.append(Claim(key, source, statement, measured, rule, of_paper))
         return found
 
     def tables(self, rows: Rows) -> list[Exhibit]:
@@ -233,9 +285,20 @@ class BaselineComparison(Experiment):
         ]
 
     def figures(self, rows: Rows) -> list[Exhibit]:
-        """Returns a grid of panels: methods from top to bottom, cases from left to right."""
-        methods = [name for name in SHOWN_METHODS if name in self.methods]
-        cases = [name for name in SHOWN_CASES if name in self.cases]
+        """Returns grids of panels: methods from top to bottom, cases from left to right."""
+        caption = f"The same {self.starts} {_FIGURE_CAPTION}"
+        grids = (
+            ("baselines", SHOWN_METHODS, SHOWN_CASES),
+            ("baselines_networks", SHOWN_ON_NETWORKS, NETWORK_CASES),
+        )
+        return [
+            Exhibit(name, caption, self._grid(rows, shown, cases))
+            for name, shown_methods, shown_cases in grids
+            if (shown := [one for one in shown_methods if one in self.methods])
+            and (cases := [one for one in shown_cases if one in self.cases])
+        ]
+
+    def _grid(self, rows: Rows, methods: Sequence[str], cases: Sequence[str]) -> Figure:
         height, width = len(methods), len(cases)
         figure, flat = plotting.new_figure(height, width, 2.4 * width, 2.5 * height + 0.4)
         firsts = rows["cells"].groupby(["case", "method"], sort=False).first()
@@ -251,8 +314,7 @@ class BaselineComparison(Experiment):
             axes.set(xlim=(-SHOWN, SHOWN), ylim=(-SHOWN, SHOWN), aspect="equal")
             axes.set(xlabel="x [U]", ylabel=f"{METHODS[method].label}\ny [U]")
             axes.label_outer()
-        caption = f"The same {self.starts} {_FIGURE_CAPTION}"
-        return [Exhibit("baselines", caption, figure)]
+        return figure
 
     def logs(self, rows: Rows) -> Mapping[str, pd.DataFrame]:
         """Returns all rows."""
@@ -280,7 +342,7 @@ def _table(case: str, cells: pd.DataFrame) -> pd.DataFrame:
 
 def _followed(success: float, covered: float) -> str:
     part = f"{100 * success:.0f} %"
-    return f"{part} on {100 * covered:.0f} % of it" if success >= HANDLED > covered else part
+    return f"{part} on {100 * covered:.3g} % of it" if success >= HANDLED > covered else part
 
 
 def _sides(case: str, cells: Cells) -> set[bool]:
@@ -360,11 +422,6 @@ def _has_advantage(found: Mapping[str, Any]) -> Verdict:
     return Verdict.when(0 < handled.good == handled.all, partly.good > 0)
 
 
-_ADVANTAGE = (
-    "baselines-advantage",
-    "Abstract, Section VII",
-    "SGVF follows paths reliably on which classical guiding vector fields fail.",
-)
 # Key, source, statement, cases, methods, measure and rule.
 _CLAIMS = (
     (
@@ -390,7 +447,7 @@ _CLAIMS = (
         "baselines-branching",
         "Abstract, Section I, Fig. 1 (right)",
         "Classical methods fail when the path branches.",
-        *(["branching"], CLASSICAL, _failures, _all_fail),
+        *(["branching", "streets"], CLASSICAL, _failures, _all_fail),
     ),
     (
         "baselines-pieces",
@@ -409,6 +466,25 @@ _CLAIMS = (
         "Abstract, Section I (contribution 1)",
         "SGVF follows unordered, noisy and branching waypoints in one framework; judged by "
         "the paper's own recipe.",
-        *(list(CASES), ["paper"], _own_handled, every("handled")),
+        *(UNORDERED_OR_BRANCHING, ["paper"], _own_handled, every("handled")),
+    ),
+    (
+        "baselines-advantage",
+        "Abstract, Section VII",
+        "SGVF follows paths reliably on which classical guiding vector fields fail.",
+        *(list(CASES), [*CLASSICAL, *STATELESS], _advantage, _has_advantage),
+    ),
+    (
+        "baselines-directed",
+        "directed fields",
+        "A field m(x, g) that knows its heading follows paths that cross or branch.",
+        *(NETWORK_CASES, DIRECTED, _handled, every("handled")),
+    ),
+    (
+        "baselines-directed-advantage",
+        "directed fields",
+        "A field that knows its heading follows paths that cross or branch on which classical "
+        "guiding vector fields fail.",
+        *(NETWORK_CASES, [*CLASSICAL, *DIRECTED], _advantage, _has_advantage),
     ),
 )

@@ -127,7 +127,7 @@ def measure_learned(trial: BaselineTrial, folder: Path) -> Row:
     # One attempt: at a fork, the self-check finds a fault in whatever was trained.
     field = trained(cloud, trial.method, trial.seed, max_restarts=0).guiding_field
     field.save(folder / FIELD)
-    run, ways = follow_case(field, path, trial.method, trial.starts, folder)
+    run, ways = follow_case(field, path, trial, folder)
     return {"success": float(ways.good.mean()), "coverage": coverage(run, ways, cloud)}
 
 

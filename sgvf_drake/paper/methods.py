@@ -32,6 +32,11 @@ NOISE = 0.05
 WAVELENGTH = 1.0
 
 
+# Demonstrations of one motion: how many, the waypoints of each, and the standard deviation of
+# the shift of each, U.
+PASSES, POINTS_OF_PASS, SHIFT = 5, 80, 0.1
+
+
 @dataclass(frozen=True)
 class Case:
     """Waypoints, evenly spaced on a path piece after piece.
@@ -41,12 +46,17 @@ class Case:
         path: One of `clouds.PATHS`.
         noise: Standard deviation on each coordinate, U.
         shuffled: Whether they are in random order.
+        passes: Whether they are demonstrations of the path, one after the other, each of
+            them shifted as a whole.
+        crosses: Whether the path crosses itself, and is to be followed straight over.
     """
 
     label: str
     path: str
     noise: float = 0.0
     shuffled: bool = False
+    passes: bool = False
+    crosses: bool = False
 
 
 CASES = {
@@ -56,6 +66,11 @@ CASES = {
     "branching": Case("branching", "fork"),
     "pieces": Case("two pieces", "concentric-circles"),
     "corners": Case("corners", "square"),
+    "eight": Case("figure-eight", "eight", crosses=True),
+    "course": Case("race course", "course", NOISE, shuffled=True, crosses=True),
+    "demonstrations": Case("demonstrations", "stroke", passes=True, crosses=True),
+    "streets": Case("streets", "streets"),
+    "space": Case("knot in space", "knot", shuffled=True),
 }
 
 
@@ -78,6 +93,10 @@ def _learned(recipe: str) -> Callable[[PointCloud, int], PathField]:
     return lambda cloud, seed: trained(cloud, recipe, seed).field
 
 
+def _directed(recipe: str) -> Callable[[PointCloud, int], PathField]:
+    return lambda cloud, seed: trained(cloud, recipe, seed, anyway=False).field
+
+
 def _sorted_curves(cloud: PointCloud) -> list[FourierCurve]:
     """Each route of the network of a cloud, through its waypoints in their order on it."""
     path = find_paths(cloud).path
@@ -91,6 +110,12 @@ def _sorted_curves(cloud: PointCloud) -> list[FourierCurve]:
 
 def _smoothed(cloud: PointCloud) -> CurveField:
     return CurveField(cloud, [curve.smoothed(WAVELENGTH) for curve in _sorted_curves(cloud)])
+
+
+def _parametric(cloud: PointCloud) -> ParametricField:
+    """Around the longest of the smoothed curves, closed if it is open."""
+    longest = max(_sorted_curves(cloud), key=lambda curve: curve.length)
+    return ParametricField(cloud, FourierCurve(longest.points).smoothed(WAVELENGTH))
 
 
 METHODS = {
@@ -116,8 +141,13 @@ METHODS = {
         "Fourier (sorted first)", lambda cloud, _: CurveField(cloud, _sorted_curves(cloud))
     ),
     "smoothed": Method("Fourier (sorted, smoothed)", lambda cloud, _: _smoothed(cloud)),
+    "guided": Method("parametric (sorted, smoothed)", lambda cloud, _: _parametric(cloud)),
+    "directed": Method("directed SGVF (robust)", _directed("robust")),
+    "strands": Method("directed SGVF (exact mixture)", _directed("exact")),
 }
-LEARNED = ("paper", "robust", "exact")
+DIRECTED = ("directed", "strands")
+"""Fields that know their heading, for paths that cross or branch."""
+LEARNED = ("paper", "robust", "exact", *DIRECTED)
 """Those whose field, or part of it, is learned."""
 
 
@@ -129,7 +159,11 @@ def make_case(case: Case, seed: int) -> tuple[PointCloud, ReferencePath]:
         [piece.sample(int(n)) for piece, n in zip(path.pieces, shares, strict=True)]
     )
     rng = np.random.default_rng([seed, 2])
+    unit = PointCloud(points).unit_length
+    if case.passes:
+        (piece,) = path.pieces
+        shifts = SHIFT * unit * rng.standard_normal((PASSES, path.dim))
+        points = np.concatenate([piece.sample(POINTS_OF_PASS) + shift for shift in shifts])
     if case.noise > 0:
-        unit = PointCloud(points).unit_length
         points = points + case.noise * unit * rng.standard_normal(points.shape)
     return PointCloud(rng.permutation(points) if case.shuffled else points), path

@@ -1,13 +1,13 @@
 """How well a path was followed, by one measure for closed pieces and for branches."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from sgvf_drake.arrays import BoolArray, FloatArray, IntArray
 from sgvf_drake.clouds import PointCloud
-from sgvf_drake.experiments.follow import FollowResult
+from sgvf_drake.experiments.follow import FollowResult, PathField
 from sgvf_drake.experiments.workbench import Row
 from sgvf_drake.metrics import (
     END_DISTANCE,
@@ -17,11 +17,17 @@ from sgvf_drake.metrics import (
     STALL_WINDOW,
     since_last,
 )
+from sgvf_drake.network_metrics import network_metrics
 from sgvf_drake.paths import ReferencePath
+from sgvf_drake.paths.finding import find_paths
 
 # U; the bends of a trajectory are measured over chords of this length.  It is twice the
 # way between two samples of a robot at full speed.
 CHORD = 0.1
+# Points of a path in which its crossings are found, many more than there are waypoints.
+DENSE = 1_000
+# Ends this near to another piece are on it, in the unit of the reference.
+TOUCHING = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +75,7 @@ def find_ways(
     near = since_last(run.errors > SETTLE_DISTANCE * unit)
     last = int(np.searchsorted(run.times, run.times[-1] - STALL_WINDOW * unit * patience))
     extent = np.linalg.norm(np.ptp(run.positions[last:], axis=0), axis=1)
-    tips = cKDTree([piece.vertices[-1] for piece in reference.pieces])
-    at_tip = tips.query(run.positions[-1])[0] <= SETTLE_DISTANCE * unit
+    at_tip = cKDTree(_tips(reference)).query(run.positions[-1])[0] <= SETTLE_DISTANCE * unit
     good = (near <= last) & ((extent >= STALL_SPAN * unit) | at_tip)
     reached = run.errors <= REACH_DISTANCE * unit
     reached &= np.arange(steps)[:, None] >= near
@@ -78,6 +83,53 @@ def find_ways(
     begin = np.argmax(reached, axis=0)
     arrival = np.clip(since_last(from_end > END_DISTANCE * unit), begin, steps - 1)
     return Ways(good & reached.any(axis=0), begin, arrival)
+
+
+def crossing_ways(run: FollowResult, reference: ReferencePath, field: PathField) -> Ways:
+    """Tells who follows a path that crosses itself, straight over the crossings.
+
+    An agent has to run along the parts between the crossings in their order, either way: all
+    around a closed path, or to an end of an open one from where it came to it, near which it
+    may stop as on a branch.  The parts are found in the path itself.
+
+    Args:
+        run: The agents.
+        reference: The path, one piece.
+        field: The field that they follow.
+    """
+    (piece,) = reference.pieces
+    cloud, dense = field.cloud, piece.sample(DENSE)
+    tips = piece.vertices[[0, -1]]
+    near = cKDTree(tips).query(field.ends)[0] <= SETTLE_DISTANCE * cloud.unit_length
+    ends = np.concatenate([tips, field.ends[near]])
+    one, other = (
+        network_metrics(run.times, run.positions, find_paths(PointCloud(x)), cloud.box, ends)
+        for x in (dense, dense[::-1])
+    )
+    followed = one.followed | other.followed
+    if not piece.closed:
+        ways = find_ways(run, reference, cloud.unit_length)
+        return replace(ways, good=ways.good & followed)
+    first, until = (
+        np.where(one.followed, getattr(one, name), getattr(other, name))
+        for name in ("first", "until")
+    )
+    return Ways(followed, first, until)
+
+
+def _tips(reference: ReferencePath) -> FloatArray:
+    """Returns the ends of pieces that lie on no other piece, (E, d)."""
+    pieces = reference.pieces
+    return np.array(
+        [
+            end
+            for k, piece in enumerate(pieces)
+            for end in piece.vertices[[0, -1]]
+            if len(pieces) == 1
+            or ReferencePath(pieces[:k] + pieces[k + 1 :]).project(end[None]).distance[0]
+            > TOUCHING
+        ]
+    )
 
 
 def coverage(run: FollowResult, ways: Ways, cloud: PointCloud) -> float:

@@ -11,12 +11,21 @@ from scipy.integrate import solve_ivp
 
 from sgvf_drake.clouds import PointCloud
 from sgvf_drake.experiments import follow
+from sgvf_drake.experiments.clouds import STROKE_HEIGHT, true_path
 from sgvf_drake.fields import FourierCurve, ParametricField
 from sgvf_drake.paper.baselines import TRAJECTORIES, BaselineComparison
 from sgvf_drake.paper.claims import Verdict
 from sgvf_drake.paper.methods import CASES, LEARNED, METHODS, make_case
-from sgvf_drake.paper.ways import Ways, coverage, effort, errors, find_ways
+from sgvf_drake.paper.ways import (
+    Ways,
+    coverage,
+    crossing_ways,
+    effort,
+    errors,
+    find_ways,
+)
 from sgvf_drake.paths import Piece, ReferencePath
+from sgvf_drake.paths.finding import find_paths
 from tests.helpers import circle
 
 UNIT = 0.5
@@ -61,6 +70,35 @@ def test_pieces_come_one_after_the_other():
         # The middle of the fork belongs to all arms.
         middle = np.linalg.norm(cloud.points, axis=1) < 1e-9
         assert np.all(np.diff(piece[~middle]) >= 0)
+
+
+def test_demonstrations_are_the_path_shifted_as_a_whole():
+    path = make_case(CASES["demonstrations"], 0)[1]
+    squares = []
+    for seed in range(6):
+        cloud, _ = make_case(CASES["demonstrations"], seed)
+        shifts = cloud.points.reshape(5, 80, 2) - path.pieces[0].sample(80)
+        np.testing.assert_allclose(shifts, shifts[:, :1] + np.zeros((5, 80, 2)), atol=1e-9)
+        squares.append((shifts[:, 0] ** 2).mean())
+    unit = PointCloud(path.pieces[0].vertices).unit_length
+    assert np.sqrt(np.mean(squares)) == pytest.approx(0.1 * unit, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("case", "what"),
+    [
+        ("eight", "closed path, with 1 crossing"),
+        ("course", "closed path, with 1 crossing"),
+        ("demonstrations", "open path, with 1 crossing"),
+        ("streets", "network, with 5 junctions, 1 crossing, 1 end"),
+        ("space", "closed path"),
+    ],
+)
+def test_the_network_of_every_case_is_found(case, what):
+    for seed in range(3):
+        network = find_paths(make_case(CASES[case], seed)[0])
+        kind, _, *nodes = network.describe(0).split(", ")
+        assert (", ".join([kind, *nodes]), network.num_pieces) == (what, 1)
 
 
 def test_what_takes_no_order_gives_the_same_field_for_any():
@@ -175,6 +213,40 @@ def test_the_way_is_that_from_the_path_to_the_tip(arms):
     assert errors(run, ways, UNIT)["max_u"] <= 0.1
 
 
+@pytest.mark.parametrize(("tip", "good"), [((-4, 0), True), ((0, -4), True), ((0, 0), False)])
+def test_a_tip_is_an_end_that_lies_on_no_other_piece(tip, good):
+    street, stem = UNIT * np.array([[[-4, 0], [4, 0]], [[0, 0], [0, -4]]])
+    path = ReferencePath((Piece(street, closed=False), Piece(stem, closed=False)))
+    end = UNIT * np.array(tip, float)
+    run = run_of(np.repeat(end[None], 600, axis=0))
+    run.errors = path.project(end[None]).distance + np.zeros((600, 1))
+    assert find_ways(run, path, UNIT).good.tolist() == [good]
+
+
+@pytest.mark.parametrize("case", ["eight", "demonstrations"])
+def test_who_goes_straight_over_a_crossing(case):
+    """On the eight around one half for ever, on the stroke from arm to arm, is no success."""
+    path = true_path(CASES[case].path)
+    (piece,) = path.pieces
+    cloud = PointCloud(piece.sample(400))
+    arc = np.arange(0, (2.2 if piece.closed else 1) * piece.length, 0.05 * cloud.unit_length)
+    straight = piece.at(arc % piece.length if piece.closed else arc)
+    if piece.closed:
+        turning = piece.at(arc % (piece.length / 2))
+    else:
+        side = np.linalg.norm(straight - [0.0, STROKE_HEIGHT], axis=1)
+        loop = (side < 0.03 * cloud.unit_length).nonzero()[0][[0, -1]]
+        turning = np.concatenate([straight[: loop[0]], straight[loop[1] :]])
+    tracks = [resting(track, 1200) for track in (straight, straight[::-1], turning)]
+    run = run_of(*tracks)
+    run.times = run.times / UNIT * cloud.unit_length
+    run.errors = path.project(run.positions.reshape(-1, 2)).distance.reshape(1200, 3)
+    field = SimpleNamespace(cloud=cloud, ends=np.empty((0, 2)))
+    ways = crossing_ways(run, path, field)
+    assert ways.good.tolist() == [True, True, False]
+    assert coverage(run, ways, cloud) == 1.0
+
+
 # Following a field whose state has one more dimension.
 
 
@@ -223,6 +295,21 @@ def findings(means):
 @pytest.mark.parametrize(
     ("key", "means", "verdict"),
     [
+        ("branching", {("branching", "sorted"): GOOD, ("streets", "sorted"): BAD}, PARTLY),
+        ("directed", {("streets", "directed"): GOOD, ("eight", "directed"): GOOD}, HOLDS),
+        ("directed", {("streets", "directed"): GOOD, ("eight", "directed"): HALF}, PARTLY),
+        ("directed-advantage", {("eight", "strands"): GOOD, ("eight", "guided"): GOOD}, FAILS),
+        ("directed-advantage", {("eight", "strands"): GOOD, ("eight", "sorted"): HALF}, HOLDS),
+        # What knows its heading does not speak for what does not.
+        (
+            "advantage",
+            {
+                (case, name): GOOD if name == "directed" else BAD
+                for case in ["streets"]
+                for name in ("directed", "robust", "sorted")
+            },
+            FAILS,
+        ),
         ("ordered", {("ordered", "fourier"): GOOD}, HOLDS),
         ("ordered", {("ordered", "fourier"): GOOD, ("ordered", "lagrange"): BAD}, PARTLY),
         ("ordered", {("ordered", "parametric"): THIN}, FAILS),
@@ -278,6 +365,26 @@ def test_what_cannot_differ_is_run_once(outcome):
     _, folder = outcome
     # Of eight cells: one fit for all, one curve in order, and two out of order.
     assert len(list(folder.rglob(TRAJECTORIES))) == 1 + 1 + 2
+
+
+def test_what_is_left_out_is_not_run():
+    names = ["space", "pieces", "eight"], ["implicit", "strands", "robust"]
+    assert BaselineComparison(*names)._cells() == [
+        ("space", "robust"),
+        *(("pieces", name) for name in ("implicit", "robust")),
+        *(("eight", name) for name in ("implicit", "strands", "robust")),
+    ]
+
+
+def test_a_field_that_knows_its_heading_is_followed_straight_over_a_crossing(
+    tmp_path, run_kind
+):
+    found = run_kind(BaselineComparison(["eight"], ["strands"], starts=4, seeds=[0]), tmp_path)
+    (row,) = found.rows["cells"].to_dict("records")
+    assert row["success"] == row["coverage"] == 1
+    assert row["rms_u"] < 0.01
+    assert row["evaluation_us"] > 0
+    assert found.verdicts == {"baselines-directed": HOLDS}
 
 
 def test_tables_and_figure(outcome):
