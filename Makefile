@@ -69,6 +69,7 @@ bench-learning: $(VENV)/.development
 
 bench-paths: $(VENV)/.development
 	$(BIN)/python -m tests.benchmarks.paths
+	$(BIN)/python -m tests.benchmarks.hard_paths
 
 clean:
 	rm -rf .venv* demo build site dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
