@@ -70,6 +70,7 @@ bench-learning: $(VENV)/.development
 
 bench-paths: $(VENV)/.development
 	$(BIN)/python -m tests.benchmarks.paths
+	$(BIN)/python -m tests.benchmarks.hard_paths
 
 bench-networks: $(VENV)/.development
 	$(BIN)/python -m tests.benchmarks.networks

@@ -11,7 +11,9 @@ from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.paths.assembly import Graph
 from sgvf_drake.paths.building import number, piece_of_strands, reversed_route
+from sgvf_drake.paths.gaps import keep_away, may_go_on
 from sgvf_drake.paths.geometry import chains, fit_courses, place_nodes
+from sgvf_drake.paths.loops import Holes
 from sgvf_drake.paths.network import PathNetwork, Route
 from sgvf_drake.paths.polyline import signed_area
 from sgvf_drake.paths.recording import Recording
@@ -63,11 +65,27 @@ class Draft:
             closed=np.array([line.closed for line in lines]),
         )
 
-    def lies_in_rows(self) -> bool:
-        """Whether the waypoints that lie about its paths are in rows along them."""
+    def doubt(self, holes: Holes | None, reach: float) -> str | None:
+        """What the waypoints say against these paths, if anything.
+
+        Args:
+            holes: The holes between them; None where they tell nothing.
+            reach: The widest gap that was bridged, had there been one.
+        """
+        found = self._graph, self._routes, self._courses
         lines = [course.line for course in self._courses]
         near = NEAR_ROUTE * self._sigma
-        return lie_in_rows(lines, self._recording.points, self._foot, near)
+        if lie_in_rows(lines, self._recording.points, self._foot, near):
+            return "waypoints on both sides of a line lie in rows along it"
+        if keep_away(*found):
+            return "strands meet where there are no waypoints"
+        scatter = max(course.scatter for course in self._courses)
+        if holes is not None and holes.has_between(scatter, self._sigma, reach):
+            return "a loop is narrower than the scale that shows these paths"
+        recorded = any(self._recording.direction(k) for k in range(len(self._routes)))
+        if not recorded and may_go_on(*found, self._sigma):
+            return "a path may go on from one end to another"
+        return None
 
     def use_recording(self, closed: bool | None) -> None:
         """Joins what the recording joins, and cuts or closes paths as the user says."""

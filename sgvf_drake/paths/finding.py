@@ -139,8 +139,9 @@ def find_paths(
         what = "one path of which they are passes" if passes else "path"
         raise PointCloudError(f"the waypoints show no {what} at any scale")
     draft = Draft(cloud, points, weights, chosen.graph, chosen.sigma)
-    if unsure is None and sigma is None and not passes and draft.lies_in_rows():
-        unsure = f"waypoints on both sides of a line lie in rows along it; {REMEDY}{PASSES}"
+    if unsure is None and sigma is None and not passes:
+        doubt = draft.doubt(_holes(points), chosen.reach)
+        unsure = doubt and f"{doubt}; {_remedy([chosen.graph.signature])}"
     draft.use_recording(closed)
     draft.give_directions(direction, start)
     return draft.network(unsure)
@@ -193,7 +194,7 @@ def _vote(
     """Returns the scale whose topology is taken, if any, and why that is unsure, if it is."""
     given = len(scales) == 1
     signatures = [scale.graph.signature for scale in scales if scale.graph.strands]
-    remedy = REMEDY + (PASSES if any(map(_is_one_path, signatures)) else "")
+    remedy = _remedy(signatures)
     # To passes of one path, the valleys between them mean nothing.
     if not passes and not all(scale.merges for scale in scales):
         scales = [scale for scale in scales if not scale.merges]
@@ -239,6 +240,10 @@ def _vote(
 def _agrees(found: Signature, holes: Holes | None, scale: Scale) -> bool:
     """Whether persistence shows as many loops, if it can tell."""
     return holes is None or found.cycles == holes.loops(scale.sigma, scale.reach)
+
+
+def _remedy(seen: Sequence[Signature]) -> str:
+    return REMEDY + (PASSES if any(map(_is_one_path, seen)) else "")
 
 
 def _is_one_path(found: Signature) -> bool:

@@ -12,7 +12,7 @@ import networkx as nx
 import numpy as np
 from scipy.spatial import Delaunay
 
-from sgvf_drake.arrays import FloatArray, IntArray
+from sgvf_drake.arrays import BoolArray, FloatArray, IntArray
 
 LEAST_RATIO, OF_POINTS, GROWTH = 1.7, 200, 0.2
 """A hole that is a loop of the path lasts until the discs are this many times larger.
@@ -48,10 +48,18 @@ class Holes:
             sigma: The scale.
             reach: The widest gap in a path that is closed at this scale.
         """
+        return int(np.sum(self._closed(sigma, reach) & (self.death >= sigma)))
+
+    def has_between(self, scatter: float, sigma: float, reach: float) -> bool:
+        """Whether loops are too narrow to be seen at a scale, but wider than scatter leaves."""
+        hidden = (self.death > scatter) & (self.death < sigma)
+        return bool(np.any(self._closed(sigma, reach) & hidden))
+
+    def _closed(self, sigma: float, reach: float) -> BoolArray:
+        """Which holes are loops that are closed at a scale, (H,)."""
         lasting = LEAST_RATIO * max(1.0, self.count / OF_POINTS) ** GROWTH
         closed = self.birth <= max(sigma, reach / 2)
-        wide = self.death >= np.maximum(sigma, lasting * self.birth)
-        return int(np.sum(closed & wide))
+        return np.asarray(closed & (self.death >= lasting * self.birth))
 
 
 def find_holes(points: FloatArray) -> Holes:

@@ -20,9 +20,13 @@ WIDE = 0.9
 """Scatter in mean steps along a line from which on rows are told: that of two strands .9 of
 their spacing apart."""
 
-NEXT, TIED = 2, 5
-"""The nearest waypoints whose directions are looked at: on a strand, both neighbours.  With the
-waypoint itself, five may be as near as them on a square lattice."""
+NEXT, WITHIN = 2, 0.5
+"""The nearest waypoints whose directions are looked at: on a strand, both neighbours; then all
+within this share of the scatter, which has no direction there, but rows have that are farther
+apart than they scatter."""
+
+MOST_LOOKED_AT, MOST_NEIGHBOURS = 1_000, 500
+"""Waypoints and neighbours of each that are looked at, to bound time and memory."""
 
 ALONG = np.cos(np.radians(30.0))
 """Cosine of the angle to the line within which a third of all directions in the plane lie."""
@@ -49,7 +53,8 @@ def lie_in_rows(
     """
     own = foot.distance < near
     step = sum(line.length for line in lines) / len(points)
-    if not own.any() or np.sqrt((foot.distance[own] ** 2).mean()) < WIDE * step:
+    scatter = np.sqrt((foot.distance[own] ** 2).mean()) if own.any() else 0.0
+    if scatter < WIDE * step:
         return False
     tangent = np.empty_like(points)
     for number, line in enumerate(lines):
@@ -60,11 +65,19 @@ def lie_in_rows(
         ]
         tangent[on] = ends[1] - ends[0]
     distinct, first = np.unique(points, axis=0, return_index=True)
-    distance, nearest = cKDTree(distinct).query(distinct, k=min(TIED, len(distinct)))
-    away = distinct[nearest[:, 1:]] - distinct[:, None]
+    first = first[own[first]]
+    first = first[:: 1 + len(first) // MOST_LOOKED_AT]
+    distance, nearest = cKDTree(distinct).query(
+        points[first], k=min(1 + MOST_NEIGHBOURS, len(distinct))
+    )
+    away = distinct[nearest[:, 1:]] - points[first, None]
     along = np.abs((away * tangent[first, None]).sum(axis=2))
     size = np.linalg.norm(away, axis=2) * np.linalg.norm(tangent[first], axis=1)[:, None]
     # On a lattice, several are as near as the second one.
-    counted = distance[:, 1:] <= (1 + SMALL) * distance[:, [min(NEXT, distance.shape[1] - 1)]]
-    share = ((along > ALONG * size) & counted).sum(axis=1) / counted.sum(axis=1)
-    return bool(share[own[first]].mean() > SHARE_ALONG)
+    second = (1 + SMALL) * distance[:, [min(NEXT, distance.shape[1] - 1)]]
+    for reach in (second, np.maximum(second, WITHIN * scatter)):
+        counted = distance[:, 1:] <= reach
+        share = ((along > ALONG * size) & counted).sum(axis=1) / counted.sum(axis=1)
+        if share.mean() > SHARE_ALONG:
+            return True
+    return False

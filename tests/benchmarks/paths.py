@@ -4,17 +4,20 @@ python -m tests.benchmarks.paths --counts 200 --seeds 5
 """
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 import itertools
 import time
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 import pandas as pd
 
 from sgvf_drake.clouds import PointCloud
+from sgvf_drake.exceptions import PointCloudError
 from sgvf_drake.paths.finding import find_paths
-from tests.networks import SHAPES, topology
+from tests.networks import SHAPES, Topology, topology
 
 NOISES = (0.0, 0.02, 0.05)
 COUNTS = (200, 500, 1000)
@@ -24,19 +27,27 @@ VERDICTS = ("right", "right but flagged", "wrong and flagged", "wrong and sure")
 def find(case: tuple[str, str, int, float, int]) -> dict[str, Any]:
     """Finds the network of one cloud, and says whether it is the right one."""
     name, sampling, count, noise, seed = case
-    cloud = PointCloud(SHAPES[name].sample(count, noise, sampling == "random", seed))
-    begin = time.process_time()
-    network = find_paths(cloud)
-    right = topology(network) in SHAPES[name].topologies
+    points = SHAPES[name].sample(count, noise, sampling == "random", seed)
     return {
         "shape": name,
         "sampling": sampling,
         "points": count,
         "noise": noise,
         "seed": seed,
-        "verdict": VERDICTS[2 * (not right) + ((network.unsure is not None) ^ (not right))],
-        "cpu_s": time.process_time() - begin,
+        **judge(points, SHAPES[name].topologies),
     }
+
+
+def judge(points: NDArray[np.float64], topologies: Sequence[Topology]) -> dict[str, Any]:
+    """Finds the network of points (n, d), and says whether it is one of the right ones."""
+    begin = time.process_time()
+    try:
+        network = find_paths(PointCloud(points))
+        right, flagged = topology(network) in topologies, network.unsure is not None
+    except PointCloudError:
+        right, flagged = False, True
+    verdict = VERDICTS[flagged if right else 3 - flagged]
+    return {"verdict": verdict, "cpu_s": time.process_time() - begin}
 
 
 def cases(

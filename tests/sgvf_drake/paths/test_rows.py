@@ -79,3 +79,13 @@ def test_scatter_about_a_line_is_no_row(seed: int, dim: int) -> None:
     network = find_paths(PointCloud(points + rng.normal(0, 0.08, points.shape)))
     assert network.unsure is None
     assert topology(network) == STRAND
+
+
+@pytest.mark.parametrize("count", [300, 1_000, 5_000])
+def test_lanes_far_apart_for_their_scatter_are_no_line(count: int) -> None:
+    """They are eight times their scatter from each other, with waypoints at random."""
+    rng = np.random.default_rng(0)
+    lane = 0.4 * rng.integers(0, 5, count)
+    points = np.column_stack([rng.uniform(-4, 4, count), lane + rng.normal(0, 0.05, count)])
+    network = find_paths(PointCloud(points))
+    assert topology(network) == Topology(5, 0, ends=10) or network.unsure is not None

@@ -1,0 +1,64 @@
+"""Nodes and ends that lie in gaps between the waypoints are not sure."""
+
+import numpy as np
+from numpy.typing import NDArray
+import pytest
+
+from sgvf_drake.clouds import PointCloud
+from sgvf_drake.paths.finding import find_paths
+from tests.networks import LOOP, SHAPES, STRAND, Shape, Topology, topology
+
+Array = NDArray[np.float64]
+
+RING = SHAPES["circle"].strands[0] / 4
+
+
+def is_unsure_or_right(points: Array, right: Topology) -> bool:
+    network = find_paths(PointCloud(points))
+    return network.unsure is not None or topology(network) == right
+
+
+@pytest.mark.parametrize(
+    ("name", "noise", "seed", "reason"),
+    [
+        ("separated", 0.05, 4, "strands meet where there are no waypoints"),
+        ("spiral", 0.05, 2, "a path may go on from one end to another"),
+    ],
+)
+def test_wrong_paths_through_or_beside_gaps(
+    name: str, noise: float, seed: int, reason: str
+) -> None:
+    network = find_paths(PointCloud(SHAPES[name].sample(200, noise, random=True, seed=seed)))
+    assert topology(network) not in SHAPES[name].topologies
+    assert reason in str(network.unsure)
+
+
+@pytest.mark.parametrize("name", ["X", "T", "roundabout", "spiral", "eight"])
+@pytest.mark.parametrize("random", [False, True])
+def test_nodes_and_ends_of_dense_clouds_are_sure(name: str, random: bool) -> None:
+    network = find_paths(PointCloud(SHAPES[name].sample(1_000, 0.02, random, seed=7)))
+    assert topology(network) in SHAPES[name].topologies
+    assert network.unsure is None
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_path_that_is_ten_times_sparser_half_way(seed: int) -> None:
+    """On average its waypoints are so near to each other that its gaps are no accident."""
+    rng = np.random.default_rng(seed)
+    share = np.linspace(0, 1, 4_001)
+    density = 1 + 9 * np.cos(np.pi * share) ** 2
+    u = np.interp(rng.uniform(0, 1, 900), np.cumsum(density) / density.sum(), share)
+    x = 8 * u
+    points = np.column_stack([x, (0.1 + 0.25 * x) * np.sin(2 * np.pi * x / 1.6)])
+    assert is_unsure_or_right(points, STRAND)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_ring_narrower_than_the_scale(seed: int) -> None:
+    """At random, its waypoints are seen as a path at scales alone at which it has no hole."""
+    shape = Shape([RING * 3 - [1, 0], RING / 2 + [3.2, 0]], (Topology(2, 2),))
+    points = shape.sample(274, 0.0, random=True, seed=seed)
+    assert is_unsure_or_right(points, Topology(2, 2))
+    alone = find_paths(PointCloud(shape.strands[0][::20]))
+    assert topology(alone) == LOOP
+    assert alone.unsure is None
