@@ -18,7 +18,7 @@ from sgvf_drake.paths import PathNetwork
 from sgvf_drake.paths.finding import find_paths
 from sgvf_drake.paths.itinerary import Itinerary, oriented_line
 from sgvf_drake.paths.planning import covering
-from tests.networks import SHAPES
+from tests.networks import SHAPES, straight_network
 
 Array = NDArray[np.float64]
 STEP = 0.05
@@ -166,3 +166,15 @@ def test_rest_at_an_end_of_a_network_is_no_stall_and_elsewhere_it_is(rests: bool
     metrics = network_metrics(times, positions, network, box_of(network), ends)
     assert metrics.stalled.tolist() == [not rests]
     assert metrics.kind == ["network"]
+
+
+def test_an_agent_may_reach_the_path_after_it_has_come_to_an_end_beside_it() -> None:
+    network = straight_network(np.array([[-4.0, 0.0], [4.0, 0.0]]), [(0, 1)])
+    height = np.maximum(np.linspace(2.0, -2.0, 200), 0.09)
+    positions = np.stack([np.full(200, 4.0), height], axis=1)[:, None]
+    times = 0.02 * np.arange(200)
+    ends = np.array([[4.0, 0.15]])
+    found = network_metrics(times, positions, network, box_of(network), ends)
+    assert found.ended.tolist() == [True]
+    assert found.maximum == pytest.approx([0.1], abs=0.02)
+    assert found.first <= found.until
