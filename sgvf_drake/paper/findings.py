@@ -29,8 +29,9 @@ code from the figures that stand with the claim in the section of its experiment
 
 The rows are older than the network of paths: fields were trained along a spanning tree. Newer,
 in the comparison with classical fields, are the rows of the figure-eight, the race course, the
-demonstrations, the streets and the knot, directed SGVF, and all that is sorted first; their
-times do not compare with those of older rows.
+demonstrations, the streets and the knot, of directed SGVF, and of all that is sorted first.
+Their times do not compare with older ones. On those five clouds SGVF of the position alone has
+one seed, as have some classical fields that depend on chance.
 """
 
 PICTURES = {
