@@ -17,8 +17,8 @@ BEHIND, AHEAD = 1.0, 6.0
 """An agent is looked for from this far behind its last place to this far ahead, in sigma."""
 
 TIE = 1.5
-"""Of strands this far, in sigma, from an agent on another one the heading chooses.  For agents
-off all strands the squared distances differ by no more, for a field attracts by these."""
+"""The heading chooses among strands whose squared distances, in sigma, differ by no more than
+the square of this: a field attracts by squared distances."""
 
 FIRST = SAMPLING
 """The first of several strands is taken whose distances differ by less than this, in sigma, as
