@@ -42,7 +42,8 @@ def keep_away(graph: Graph, routes: Sequence[Chain], courses: Sequence[Course]) 
         for (k, side), (begin, end) in zip(chain.arms, marks, strict=True):
             if graph.strands[k].ends is None:
                 continue
-            own = course.arc[(course.arc > begin) & (course.arc < end)]
+            # Waypoints that are there twice make none nearer.
+            own = np.unique(course.arc[(course.arc > begin) & (course.arc < end)])
             rate = (1 + len(own)) / max(end - begin, TINY)
             first, last = own.min(initial=end) - begin, end - own.max(initial=begin)
             ways[graph.node((k, side))].append(rate * first)
