@@ -19,7 +19,7 @@ from sgvf_drake.paths.polyline import aim
 from sgvf_drake.paths.skeleton import Sampling
 
 ACCIDENT = 1e-3
-"""That waypoints keep so far away from a node, though it is one."""
+"""That waypoints keep so far away from any node of a network, though all are nodes."""
 
 LAST = 10
 """Steps between the last waypoints of a path, which tell how far apart they are at its end."""
@@ -42,14 +42,15 @@ def keep_away(graph: Graph, routes: Sequence[Chain], courses: Sequence[Course]) 
         for (k, side), (begin, end) in zip(chain.arms, marks, strict=True):
             if graph.strands[k].ends is None:
                 continue
-            own = course.arc[(course.arc > begin) & (course.arc < end)]
+            # Waypoints that are there twice make none nearer.
+            own = np.unique(course.arc[(course.arc > begin) & (course.arc < end)])
             rate = (1 + len(own)) / max(end - begin, TINY)
             first, last = own.min(initial=end) - begin, end - own.max(initial=begin)
             ways[graph.node((k, side))].append(rate * first)
             ways[graph.node((k, 1 - side))].append(rate * last)
-    return any(
-        len(own) > 2 and gamma.sf(sum(own), len(own)) < ACCIDENT for own in ways.values()
-    )
+    chances = [gamma.sf(sum(own), len(own)) for own in ways.values() if len(own) > 2]
+    # That of any among them.
+    return bool(chances and len(chances) * min(chances) < ACCIDENT)
 
 
 def may_go_on(

@@ -41,6 +41,13 @@ def test_nodes_and_ends_of_dense_clouds_are_sure(name: str, random: bool) -> Non
     assert network.unsure is None
 
 
+def test_waypoints_that_are_there_twelve_times_stay_sure() -> None:
+    points = SHAPES["roundabout"].sample(200, 0.02, random=False, seed=7)
+    network = find_paths(PointCloud(np.repeat(points, 12, axis=0)))
+    assert topology(network) in SHAPES["roundabout"].topologies
+    assert network.unsure is None
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_a_path_that_is_ten_times_sparser_half_way(seed: int) -> None:
     """On average its waypoints are so near to each other that its gaps are no accident."""
