@@ -346,12 +346,16 @@ def _bridge_once(
         cost = _side_cost(skeleton, tip, other, headings[tip], sigma)
         if math.isfinite(cost):
             bridges.append((cost, tip, other))
-    used: set[int] = set()
-    for _, tip, other in sorted(bridges):
-        if tip not in used and other not in used:
-            skeleton.join(tip, other)
-        used |= {tip, other} & headings.keys()
-    return bool(used)
+    joined: set[int] = set()
+    waiting: set[int] = set()
+    for _, *both in sorted(bridges):
+        tips = set(both) & headings.keys()
+        if tips & joined:
+            waiting |= tips - joined
+        elif not tips & waiting:
+            skeleton.join(*both)
+            joined |= tips
+    return bool(joined)
 
 
 def _near(

@@ -28,6 +28,7 @@ from systems.quadrotor import POSITION, VELOCITY
 from .flying import PARAMETERS, SPEED, differences, order
 
 CIRCLE_GAIN = 3.0
+OBSERVING_NOTHING = DEFAULT_GAINS[:4]  # Without a disturbance bandwidth.
 F_MAX = PARAMETERS.max_propeller_force
 # Differences with the largest steps leave the second order, with the smallest round off.
 STEPS = 10.0 ** np.linspace(-1.5, -3.0, 4)
@@ -191,7 +192,7 @@ def problem(request, circle_field, make_field):
     # As fast as it is told to be: the controller is then far from every limit.
     state[6:8] = SPEED * field(state[:2])
     state[3:6] = 0.03, -0.05, 0.02
-    return field, np.concatenate((state, DEFAULT_GAINS, [SPEED]))
+    return field, np.concatenate((state, OBSERVING_NOTHING, [SPEED]))
 
 
 @pytest.mark.parametrize("sampled", [False, True])
@@ -236,7 +237,7 @@ def test_context_of_floats_is_the_start_of_a_differentiated_flight(circle_field)
     """SetTimeStateAndParametersFrom carries the start, the held sample and the parameters."""
     diagram = MakeFlightDiagram(circle_field, speed=1.0, log_period=None)
     context = diagram.CreateDefaultContext()
-    variables = np.array([*state_at(np.array([0.6, 0.8, 1.0]), 1), *DEFAULT_GAINS, SPEED])
+    variables = np.array([*state_at(np.array([0.6, 0.8, 1.0]), 1), *OBSERVING_NOTHING, SPEED])
     set_variables(diagram, context, variables)
     SetVehicleState(diagram, context, variables[:12])
     differentiated = diagram.ToAutoDiffXd()

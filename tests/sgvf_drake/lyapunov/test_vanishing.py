@@ -158,8 +158,11 @@ def test_a_dense_y_has_its_only_isolated_zero_where_it_branches(make_y):
     for zeros in found.by_field.values():
         assert zeros.index_sum == zeros.winding_number
     vanishing = measure_vanishing(field, found, reference)
-    # The arms are flat, one line of zeros each; where they meet, the density has its peak.
-    assert vanishing.score.isolated.tolist() == [True, False, False, False]
+    # The arms are flat, lines of zeros, of which rounding decides how many places stand for
+    # them; where they meet, the density has its peak.
+    isolated = vanishing.score.isolated.tolist()
+    assert isolated == [True] + [False] * (len(isolated) - 1)
+    assert len(isolated) > 1
     assert np.linalg.norm(found.score.points[0]) < 1e-6
     assert found.score.zeros[0].kind == "sink"
     assert vanishing.summary["branches"]["holds"]
