@@ -1,7 +1,8 @@
 """Which edges of a network agents ran along, which way, and what they did at the nodes.
 
 An edge counts as run along when its middle was passed: through a gate across it, as wide as
-no other strand is near.
+no other strand is near.  Where an edge turns about at its middle, as at a tip, robots cut it
+short, and the gate stands beside.
 """
 
 from collections import defaultdict
@@ -15,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from sgvf_drake.arrays import FloatArray
 from sgvf_drake.metrics import SETTLE_DISTANCE
-from sgvf_drake.paths import PathNetwork, ReferencePath
+from sgvf_drake.paths import PathNetwork, Piece, ReferencePath
 from sgvf_drake.paths.itinerary import Itinerary, end_node
 
 SAMPLING = 0.02
@@ -23,6 +24,12 @@ SAMPLING = 0.02
 
 TANGENT = 0.05
 """Half the chord that gives the direction at the middle of an edge, in U."""
+
+MIDDLES = (1 / 2, 3 / 8, 5 / 8)
+"""Where the gate may stand, in shares of the edge."""
+
+STRAIGHT = 0.9
+"""The chord of an edge over its length, as wide as a gate on both sides, where it goes on."""
 
 AWAY = 3.0
 """What is farther along an edge than this many times its distance is another strand."""
@@ -175,6 +182,17 @@ def _turns(
     return done
 
 
+def _middle(line: Piece, width: float) -> float:
+    """The arc length of the gate of an edge: in its middle, if it goes on there."""
+    half = min(width, line.length / 4)
+    places = [share * line.length for share in MIDDLES]
+    for middle in places:
+        before, after = line.at(middle + half * np.array([-1.0, 1.0]))
+        if np.linalg.norm(after - before) > STRAIGHT * 2 * half:
+            return middle
+    return places[0]
+
+
 def _gates(network: PathNetwork) -> list[_Gate]:
     unit = network.unit_length
     arcs = [
@@ -187,8 +205,8 @@ def _gates(network: PathNetwork) -> list[_Gate]:
     arc = np.concatenate(arcs)
     gates = []
     for k, edge in enumerate(network.edges):
-        middle = edge.length / 2
-        reach = min(TANGENT * unit, middle)
+        middle = _middle(edge.line, SETTLE_DISTANCE * unit)
+        reach = min(TANGENT * unit, edge.length / 2)
         ends = edge.line.at(middle + reach * np.array([-1.0, 0.0, 1.0]))
         chord = ends[2] - ends[0]
         near = np.array(tree.query_ball_point(ends[1], 2 * SETTLE_DISTANCE * unit))

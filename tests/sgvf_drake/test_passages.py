@@ -187,3 +187,21 @@ def test_an_agent_may_reach_the_path_after_it_has_come_to_an_end_beside_it() -> 
     assert found.ended.tolist() == [True]
     assert found.maximum == pytest.approx([0.1], abs=0.02)
     assert found.first <= found.until
+
+
+def test_robots_that_cut_a_tip_short_ran_along_its_edge() -> None:
+    """The tip of a letter A, at the middle of its edge: half a U of it is left out."""
+    strokes = [[(-2, -4), (0, 4)], [(0, 4), (2, -4)], [(-1, 0), (1, 0)]]
+    share = np.linspace(0, 1, 200)[:, None]
+    network = find_paths(
+        PointCloud(np.concatenate([a + share * np.subtract(b, a) for a, b in strokes]))
+    )
+    (tipped,) = [edge for edge in network.edges if edge.line.vertices[:, 1].max() > 3]
+    assert tipped.line.at(np.array([tipped.length / 2]))[0, 1] > 3.8
+    route = covering(network)
+    positions = along(route)
+    cut = positions[positions[:, 0, 1] < 3.5]
+    for moved in (positions, cut):
+        passed = passages(moved, network)
+        assert [passage.edge for passage in passed[0]] == list(route.edges)
+        assert turn_fraction(passed, route) == 1.0
