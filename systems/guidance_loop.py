@@ -162,7 +162,7 @@ def AddGuidance(
             and output `state` (12).
         parameters: The vehicle.  By default those of the plant, if it is a QuadrotorPlant,
             with the paper's thrust-to-weight ratio.
-        name: Of the loop, in the builder.
+        name: The name of the loop in the builder.
         speed: In m/s, at which a field is followed.
         altitude: In m; only for a field of dimension 2.
         sample_period: Of an ideal motion capture, and so of the whole loop, in s; 0 leaves

@@ -56,7 +56,7 @@ class Gains(NamedTuple):
         attitude_bandwidth: Natural frequency wn of the attitude loop, rad/s.
         damping_ratio: Damping ratio of the attitude loop.
         heading: Desired yaw angle, rad.
-        disturbance_bandwidth: Of the estimate of the force that disturbs the vehicle, which is
+        disturbance_bandwidth: Bandwidth of the estimate of what disturbs the vehicle, which is
             made up for, rad/s; 0: there is none, and a steady force leaves a steady error.
     """
 

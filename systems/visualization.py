@@ -126,7 +126,7 @@ def AddFlightVisualization(
         publish_period: In s, a power of two: a recording's frame is the floor of time times
             rate, which for other periods rounds into the frame before, and leaves gaps.
         scale: Times which the quadrotor is drawn larger than it is.
-        name: Of the vehicle.
+        name: The name of the vehicle in the scene.
         beside: What shows another vehicle of this diagram already; None: nothing does.
 
     Returns:

@@ -77,7 +77,7 @@ class FlightSpec:
         parameters: The vehicle; by default the paper's.
         sensors: Noise, delay and rates of the measurements; None: they are ideal.
         disturbance: Wind, drag, motor lag and what else is not as believed; None: nothing is.
-        gains: Of the controller; with a disturbance bandwidth it makes up for that.
+        gains: Gains of the controller; with a disturbance bandwidth it makes up for that.
         seed: Seed of the noise of the sensors and of the gusts.
         start: Position p_WB (x, y, z) of the hover that the flight starts from, m; None:
             beside the path, see `hover_start`.
