@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from sgvf_drake.arrays import BoolArray
 from sgvf_drake.fields import DirectedField, FloatArray
 from sgvf_drake.learning.self_check import (
     AROUND,
@@ -17,6 +18,7 @@ from sgvf_drake.learning.self_check import (
     SelfCheck,
 )
 from sgvf_drake.passages import straight_on
+from sgvf_drake.paths import ReferencePath
 from sgvf_drake.paths.itinerary import Itinerary, successors
 from sgvf_drake.paths.navigator import Navigator
 
@@ -123,7 +125,19 @@ def _drive(field: DirectedField, runs: list[_Run]) -> list[FloatArray | None]:
             )
         left[running] -= step
         running = running[~arrived[running] & (left[running] > 0)]
+    arrived &= _on_last_edge(field, runs, x)
     return [None if done else place for done, place in zip(arrived, x, strict=True)]
+
+
+def _on_last_edge(field: DirectedField, runs: list[_Run], x: FloatArray) -> BoolArray:
+    """Whether no edge is nearer than the last one of a run, by more than a noise level."""
+    network = field.network
+    last = [network.edges[abs(run.navigator.itinerary.edges[-1]) - 1].line for run in runs]
+    own = [
+        ReferencePath((line,)).project(place[None]).distance[0]
+        for line, place in zip(last, x, strict=True)
+    ]
+    return np.array(own) <= network.path.project(x).distance + field.memory_length
 
 
 def _come_in(field: DirectedField) -> list[tuple[int, FloatArray | None]]:
