@@ -59,8 +59,8 @@ REST_S = 3.0
 TAKE_OFF_S = 1.0
 # Waypoints are noisy; the direction of an end is that of this many U of the piece.
 END_SECTION = 1.0
-# A vehicle that cannot rest has come to an end where it is told to be slower, in parts of its
-# speed.
+# A vehicle that cannot rest is past an end where it is told to turn back, and to be slower than
+# this part of its speed.
 SLOWED = 0.5
 # A flight that may be over before its time is looked at this often, s.
 LOOK_PERIOD = 0.1
@@ -350,7 +350,7 @@ def simulate(
     SetVehicleState(diagram, context, start)
     loop: Any = diagram.GetSubsystemByName("guidance_loop")
     if is_over is None and not craft.can_rest and not reference.closed[piece]:
-        is_over = partial(_is_told_to_rest, loop, spec.speed)
+        is_over = partial(_is_past_end, loop, craft.velocity, spec.speed)
     if heading is not None:
         guidance = loop.guidance
         guidance.SetHeading(guidance.GetMyMutableContextFromRoot(context), heading)
@@ -391,10 +391,12 @@ def _lost_control_named(where: str, speed: float, feasibility: Feasibility) -> I
         ) from error
 
 
-def _is_told_to_rest(loop: Any, speed: float, context: Context) -> bool:
-    """Tells from the root Context whether guidance is about to rest at an end."""
-    command = loop.GetOutputPort("velocity_command").Eval(loop.GetMyContextFromRoot(context))
-    return bool(np.hypot(*command[:2]) < SLOWED * speed)
+def _is_past_end(loop: Any, velocity: slice, speed: float, context: Context) -> bool:
+    """Tells from the root Context whether a vehicle has just passed an end of its path."""
+    own = loop.GetMyContextFromRoot(context)
+    command = loop.GetOutputPort("velocity_command").Eval(own)[:2]
+    ahead = loop.GetOutputPort("measured_state").Eval(own)[velocity][:2]
+    return bool(np.hypot(*command) < SLOWED * speed and command @ ahead < 0)
 
 
 def _advance_until(

@@ -154,8 +154,9 @@ def _summary(
         ends=field.ends,
     )
     errors, closed = metrics.summary(), bool(reference.closed[piece])
-    measured = _measured(log, metrics, unit, flown.is_over)
+    measured = _measured(log, metrics, unit)
     if flown.is_over:
+        measured = _way_to_end(log, reference.pieces[piece].vertices[[0, -1]], unit)
         error = measured["cross_track_error"].to_numpy()
         errors |= {"cross_track_rms": _rms(error), "cross_track_max": float(error.max())}
     actuation, (lowest, highest) = log[list(craft.actuation_columns)], craft.actuation_limits
@@ -188,20 +189,28 @@ def _came_to_rest(metrics: FollowMetrics, piece: int) -> bool:
     return bool(metrics.ended[0] and metrics.piece[0] == piece)
 
 
-def _measured(
-    log: pd.DataFrame, metrics: FollowMetrics, unit_length: float, is_over: bool
-) -> pd.DataFrame:
+def _measured(log: pd.DataFrame, metrics: FollowMetrics, unit_length: float) -> pd.DataFrame:
     """Returns the rows over which the errors are measured, the last one if there are none.
 
-    They are the last lap, or on the way to an end those from the first reach on: to the
-    arrival, or of a flight that is over there to its last row.
+    They are the last lap, or on the way to an end those from the first reach on.
     """
     samples = max(int(metrics.samples[0]), 1)
-    if not (is_over or metrics.ended[0]):
+    if not metrics.ended[0]:
         return log.tail(samples)
+    return _since_reach(log, unit_length).head(samples)
+
+
+def _way_to_end(log: pd.DataFrame, ends: FloatArray, unit_length: float) -> pd.DataFrame:
+    """Returns the rows from the first reach on to the place nearest to the end just passed."""
+    places = positions_of(log, ends.shape[1])
+    passed = ends[np.argmin(np.linalg.norm(ends - places[-1], axis=1))]
+    arrival = int(np.argmin(np.linalg.norm(places - passed, axis=1)))
+    return _since_reach(log.head(arrival + 1), unit_length)
+
+
+def _since_reach(log: pd.DataFrame, unit_length: float) -> pd.DataFrame:
     reached = log["cross_track_error"].to_numpy() <= REACH_DISTANCE * unit_length
-    way = log.iloc[int(np.argmax(reached)) :]
-    return way if is_over else way.head(samples)
+    return log.iloc[int(np.argmax(reached)) :]
 
 
 def _rms(values: FloatArray) -> float:

@@ -27,12 +27,15 @@ from systems import (
     Unicycle,
     Vehicle,
 )
+from systems.turning_vehicles import TurningVehicle
 
 SPEED = 0.45
 # Of a square of 6 m and a ring of 1 m.
 HALF_SIDE, POINTS = 3.0, 60
 # A course is scaled to this length for the robot, m.
 COURSE_LENGTH = 60.0
+# Widths of the flown field, in turn radii.
+WIDTHS = (0.25, 0.5, 1.0, 2.0)
 LAPS, LOG_PERIOD = 2.0, 0.05
 
 
@@ -63,13 +66,16 @@ def field_of(name: str, points: np.ndarray, folder: Path) -> tuple[GuidingField,
 
 def flown(
     learned: tuple[GuidingField, ReferencePath],
-    vehicle: Vehicle,
+    vehicle: TurningVehicle,
     *,
     feedforward: bool = True,
-    approach: float = 1.0,
+    approach: float | None = None,
     air: Disturbance | None = None,
 ) -> str:
-    """RMS and largest cross-track error of the last lap, in m; `approach` in turn radii."""
+    """RMS and largest cross-track error of the last lap, in m; `approach` in turn radii.
+
+    Without it, the field is as wide as the vehicle has it.
+    """
     field, path = learned
     speed, length = vehicle.own_speed, path.longest
     diagram = MakeFlightDiagram(
@@ -85,11 +91,11 @@ def flown(
     start = hover_start(field, path, 0, 0.0)
     SetVehicleState(diagram, context, vehicle.StartState(start, field, air))
     SetNoiseSeed(diagram, context, 1)
-    loop: Any = diagram.GetSubsystemByName("guidance_loop")
-    guidance = loop.guidance
-    own = guidance.GetMyMutableContextFromRoot(context)
-    wanted = max(field.approach_length, approach * speed / vehicle.approach_rate)
-    guidance.SetApproachLength(own, wanted)
+    if approach is not None:
+        loop: Any = diagram.GetSubsystemByName("guidance_loop")
+        own = loop.guidance.GetMyMutableContextFromRoot(context)
+        width = max(field.approach_length, approach * vehicle.parameters.turn_radius)
+        loop.guidance.SetApproachLength(own, width)
     slowest = speed - (np.hypot(*air.wind[:2]) if air else 0.0)
     simulator.AdvanceTo(min(LAPS * length / slowest, 2.0 * LAPS * length / speed))
     _, states = read_log(diagram, context, "state_log")
@@ -121,16 +127,17 @@ def over_turn_radius(learned: Any, radii: tuple[float, ...], speed: float, kind:
 
 def over_approach(learned: Any, radii: tuple[float, ...], speed: float) -> None:
     """Prints a row for each turn radius, a column for each width of the field."""
-    widths = (0.5, 1.0, 2.0)
-    print(f"| turn radius [m] | {' | '.join(f'{c:g} turn radii' for c in widths)} |")
-    print("|---|---|---|---|")
+    print(f"| turn radius [m] | {' | '.join(f'{c:g} turn radii' for c in WIDTHS)} |")
+    print("|---|---|---|---|---|")
     for radius in radii:
         vehicle = Unicycle.Make(speed, radius)
-        cells = [flown(learned, vehicle, approach=width) for width in widths]
+        cells = [flown(learned, vehicle, approach=width) for width in WIDTHS]
         print(f"| {radius:g} | {' | '.join(cells)} |", flush=True)
 
 
-def over_wind(learned: Any, vehicle: Vehicle, airs: dict[str, Disturbance | None]) -> None:
+def over_wind(
+    learned: Any, vehicle: TurningVehicle, airs: dict[str, Disturbance | None]
+) -> None:
     """Prints a row for each wind."""
     print("| air | with feed-forward | without |\n|---|---|---|")
     for name, air in airs.items():
@@ -138,15 +145,13 @@ def over_wind(learned: Any, vehicle: Vehicle, airs: dict[str, Disturbance | None
         print(f"| {name} | {' | '.join(cells)} |", flush=True)
 
 
-def over_lag(learned: Any, vehicle: Vehicle, air: Disturbance) -> None:
-    """Prints a row for each lag, a column for each width of the field and air."""
-    print("| lag [s] | still air, 1 turn radius | 2 | wind, 1 turn radius | 2 |")
+def over_lag(learned: Any, vehicle: Any, air: Disturbance | None) -> None:
+    """Prints a row for each lag, a column for each width of the field."""
+    print(f"| lag [s] | {' | '.join(f'{c:g} turn radii' for c in WIDTHS)} |")
     print("|---|---|---|---|---|")
     for lag in (0.0, 0.3, 0.6, 1.0):
         own = replace(vehicle, parameters=replace(vehicle.parameters, turn_lag=lag))
-        cells = [
-            flown(learned, own, approach=c, air=a) for a in (None, air) for c in (1.0, 2.0)
-        ]
+        cells = [flown(learned, own, approach=width, air=air) for width in WIDTHS]
         print(f"| {lag:g} | {' | '.join(cells)} |", flush=True)
 
 
@@ -178,7 +183,8 @@ def main() -> None:
         airs = {f"wind {w:g} m/s": Disturbance((w, 0.0, 0.0)) for w in (3.0, 6.0, 9.0)}
         gusty = Disturbance((6.0, 0.0, 0.0), gust=1.0)
         over_wind(wide, wing, {"still": None, **airs, "wind 6 m/s, gusts 1 m/s": gusty})
-        over_lag(wide, wing, airs["wind 9 m/s"])
+        for air in (None, airs["wind 9 m/s"]):
+            over_lag(wide, wing, air)
     for file in options.courses if "courses" in options.only else ():
         points = np.loadtxt(file, delimiter=",")[:, :2]
         field, path = field_of(file.stem, points, options.folder)
