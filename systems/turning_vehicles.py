@@ -42,8 +42,8 @@ GRAVITY = 9.81
 """m/s^2."""
 
 APPROACH_RADII = 0.5
-"""Turn radii over which a flown field turns to the path.  Twice that leaves a fifth more error in
-the corners of a square, and half of it hardly less."""
+"""Turn radii over which a flown field turns to the path.  Twice that leaves a fifth more
+error on a square."""
 
 MOST_TURN = 1.05 * math.pi
 """rad, by which a path may turn within the length of half a circle of the vehicle.  Corners

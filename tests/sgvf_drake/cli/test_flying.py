@@ -139,7 +139,10 @@ def test_nothing_is_flown_at_the_ground_or_below_in_silence(
 
 @pytest.mark.parametrize(
     ("vehicle", "scale", "options"),
-    [("unicycle", SCALE, ("--turn-radius", 0.3)), ("fixed-wing", 50.0, ("--wind", "5,0"))],
+    [
+        ("unicycle", SCALE, ("--turn-radius", 0.3)),
+        ("fixed-wing", 10.0, ("--turn-radius", 8, "--wind", "5,0")),
+    ],
 )
 def test_a_vehicle_is_chosen_by_its_name(
     run, inputs, tmp_path, capsys, vehicle, scale, options
