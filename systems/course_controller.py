@@ -34,8 +34,9 @@ MAX_COURSE_GAIN = 8.0
 MAX_LAGGED_GAIN = 0.5
 """Course gain times turn lag, for a damping ratio of 0.7."""
 
-LEAST_PROGRESS = 0.2
-"""Of the squared airspeed; what is divided by where the wind blows the vehicle backwards."""
+LEAST_PROGRESS = 0.05
+"""The least that |v_g| cos(heading - course) counts as, in parts of the airspeed: straight
+against wind of 95 % of it."""
 
 STANDING = 1e-3
 """Of the airspeed; below it the course over ground is that of the heading."""
@@ -89,9 +90,8 @@ def CourseController_(T: type) -> Any:  # noqa: D103 (the class below says it)
             |v_g| / (v_a cos(heading - course)),
 
         with the airspeed v_a.  So the line is held in any wind that is slower than the vehicle,
-        and no wind is estimated.  In faster wind the vehicle is blown away, with its heading
-        turned toward the command as well as it can be.  Where the command is zero, it goes on
-        straight.
+        and no wind is estimated.  Faster wind blows the vehicle away: the cosine then counts as
+        no less than `LEAST_PROGRESS` allows.  Where the command is zero, it goes on straight.
 
         The one numeric parameter (index `parameter_index`) is the gain k in 1/s; see `SetGain`.
         All outputs are direct feed-through.
