@@ -22,6 +22,7 @@ from systems.diagrams import (
 from systems.disturbances import Disturbance, DisturbedQuadrotor
 from systems.guidance import FieldForSpeed, GuidanceSystem, GuidanceSystem_
 from systems.guidance_loop import AddGuidance, GuidanceLoop
+from systems.heading import HeadingSystem, HeadingSystem_
 from systems.kinematic import (
     KinematicGuidance,
     KinematicGuidance_,
@@ -42,6 +43,14 @@ from systems.moving_scene import (
     AddQuadrotorGeometry,
     FlightTrail,
     QuadrotorGeometry,
+)
+from systems.multibody import (
+    AddMultibodyQuadrotor,
+    FloatingBodyState,
+    FloatingBodyState_,
+    MultibodyQuadrotor,
+    MultibodyQuadrotorSdf,
+    QuadrotorInPlant,
 )
 from systems.navigation import RouteNavigator, RouteNavigator_
 from systems.planar_vehicle import (
@@ -83,6 +92,7 @@ __all__ = [
     "AddFlightVisualization",
     "AddGuidance",
     "AddLyapunovMonitor",
+    "AddMultibodyQuadrotor",
     "AddQuadrotorGeometry",
     "Body",
     "Branch",
@@ -105,10 +115,14 @@ __all__ = [
     "FixedWing",
     "FlightTrail",
     "FlightVisualization",
+    "FloatingBodyState",
+    "FloatingBodyState_",
     "Gains",
     "GuidanceLoop",
     "GuidanceSystem",
     "GuidanceSystem_",
+    "HeadingSystem",
+    "HeadingSystem_",
     "IdealMotionCapture",
     "KinematicGuidance",
     "KinematicGuidance_",
@@ -121,12 +135,15 @@ __all__ = [
     "MakeSimulator",
     "Mode",
     "MotionCapture",
+    "MultibodyQuadrotor",
+    "MultibodyQuadrotorSdf",
     "PlanarVehicle",
     "PlanarVehicleInWind",
     "PlanarVehicleParameters",
     "PlanarVehicle_",
     "Quadrotor",
     "QuadrotorGeometry",
+    "QuadrotorInPlant",
     "QuadrotorParameters",
     "RouteNavigator",
     "RouteNavigator_",

@@ -72,7 +72,7 @@ def MakeFlightDiagram(
         meshcat: Shows the flight of a quadrotor; see `AddFlightVisualization`.  The diagram can
             then not be converted to AutoDiffXd.
         **guidance: `speed`, `altitude`, `sample_period`, `feedforward`, `saturate`, `gains`,
-            `sensors` and `supervisor` as in `AddGuidance`.
+            `sensors`, `supervisor` and `heading` as in `AddGuidance`.
 
     Raises:
         ConfigurationError: if an argument cannot be used.
@@ -171,11 +171,10 @@ def SetVehicleState(
     if not np.isfinite(values).all():
         raise NonFiniteValueError(f"the vehicle's state must be finite: {values.tolist()}")
     plant: Any = _FindPlant(diagram, found)
-    own = plant.GetMyMutableContextFromRoot(context)
-    if hasattr(plant, "SetVectorState"):
-        plant.SetVectorState(own, values)
+    if hasattr(plant, "SetVehicleState"):
+        plant.SetVehicleState(context, values)
     else:
-        own.SetContinuousState(values)
+        plant.GetMyMutableContextFromRoot(context).SetContinuousState(values)
     found.SetVectorState(found.GetMyMutableContextFromRoot(context), values)
 
 

@@ -10,7 +10,8 @@ from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields.base import Field, SteerableField
 from systems.controller import DEFAULT_GAINS
 from systems.guidance import DEFAULT_ALTITUDE, GuidanceSystem
-from systems.quadrotor import VELOCITY, QuadrotorParameters
+from systems.multibody import MultibodyQuadrotor, QuadrotorInPlant
+from systems.quadrotor import ATTITUDE, VELOCITY, QuadrotorParameters
 from systems.se3_law import Gains
 from systems.sensing import DEFAULT_SAMPLE_PERIOD, SensorParameters
 from systems.vehicle import Quadrotor, Vehicle
@@ -33,6 +34,7 @@ class GuidanceLoop(Diagram):
         name: GuidanceLoop
         input_ports:
         - state
+        - heading
         output_ports:
         - measured_state
         - velocity_command
@@ -47,7 +49,7 @@ class GuidanceLoop(Diagram):
     What else a supervisor tells is an output too: `mode`, `branch`, and on a directed field
     `edge` and `arc`.  What may stay unconnected is an input: `next_edge` of a supervisor and,
     without sensors, its `measurement_age`; without a supervisor `intended_direction` of
-    guidance.
+    guidance; and `heading` of a controller that has one.
 
     The systems inside have the names of the attributes.  Everything but the motion capture is
     direct feed-through.  What Drake converts or clones is a plain Diagram of the same systems.
@@ -57,6 +59,7 @@ class GuidanceLoop(Diagram):
         controller: The `Se3Controller`.
         motion_capture: The `IdealMotionCapture`, or with sensors the `MotionCapture`.
         supervisor: The `BranchSupervisor`, or None.
+        heading: The `HeadingSystem`, or None.
         actuation: The name of the port that commands the vehicle.
 
     Args:
@@ -66,6 +69,7 @@ class GuidanceLoop(Diagram):
             `propeller_force` (4), or for another vehicle its own state and actuation.
         motion_capture: An `IdealMotionCapture` or a `MotionCapture`.
         supervisor: A `BranchSupervisor`, or None.
+        heading: A `HeadingSystem`, for a controller with an input `heading` (1), or None.
         actuation: The name of the controller's output.
 
     Raises:
@@ -78,6 +82,7 @@ class GuidanceLoop(Diagram):
         controller: System,
         motion_capture: Any,
         supervisor: Any = None,
+        heading: Any = None,
         actuation: str = Quadrotor.actuation,
     ) -> None:
         super().__init__()
@@ -85,6 +90,9 @@ class GuidanceLoop(Diagram):
         _CheckPorts(guidance, "guidance", MOTION, asked)
         _CheckPorts(controller, "the controller", ("state", *COMMANDS), (actuation,))
         self.actuation = actuation
+        if heading is not None:
+            _CheckPorts(heading, "heading", ("position", "velocity_command"), ("heading",))
+            _CheckPorts(controller, "a controller that is told a heading", ("heading",), ())
         builder = DiagramBuilder()
         self.guidance: Any = builder.AddNamedSystem("guidance", guidance)
         self.controller: Any = builder.AddNamedSystem("controller", controller)
@@ -102,11 +110,18 @@ class GuidanceLoop(Diagram):
             commander = self.supervisor = builder.AddNamedSystem("supervisor", supervisor)
             self._ConnectSupervisor(builder)
         _Connect(builder, commander, controller, *COMMANDS)
+        self.heading: Any = None
+        if heading is not None:
+            self.heading = builder.AddNamedSystem("heading", heading)
+            _Connect(builder, motion_capture, heading, "position")
+            _Connect(builder, commander, heading, "velocity_command")
+            _Connect(builder, heading, controller, "heading")
         builder.ExportInput(motion_capture.GetInputPort("state"), "state")
         for system, name in (
             (guidance, "intended_direction"),
             (supervisor, "next_edge"),
             (supervisor, "measurement_age"),
+            (controller, "heading"),
         ):
             if system is not None and system.HasInputPort(name):
                 port = system.GetInputPort(name)
@@ -151,6 +166,9 @@ class GuidanceLoop(Diagram):
         if predictor is not None:
             own = self.GetMutableSubsystemContext(predictor, context)
             predictor.set_integral_value(own, state[VELOCITY])
+        if self.heading is not None:
+            own = self.GetMutableSubsystemContext(self.heading, context)
+            self.heading.SetHeading(own, state[ATTITUDE][2])
 
 
 def AddGuidance(
@@ -168,6 +186,7 @@ def AddGuidance(
     gains: Gains = DEFAULT_GAINS,
     sensors: SensorParameters | None = None,
     supervisor: Any = None,
+    heading: Any = None,
     measured_port: OutputPort | None = None,
 ) -> GuidanceLoop:
     """Makes a vehicle in a diagram follow a guiding vector field.
@@ -182,7 +201,8 @@ def AddGuidance(
         plant: A QuadrotorPlant, or a system with its ports: input `propeller_force` (4)
             and output `state` (12); for another vehicle, as its `MakePlant` makes it.
         parameters: The vehicle: a quadrotor's parameters, or any `Vehicle`.  By default those
-            of the plant, if it is a QuadrotorPlant, with the paper's thrust-to-weight ratio.
+            of the plant, if it is a QuadrotorPlant, with the paper's thrust-to-weight ratio,
+            and those that a `QuadrotorInPlant` or a `MultibodyQuadrotor` has.
         name: The name of the loop in the builder.
         speed: In m/s, at which a field is followed; None: the vehicle's own.
         altitude: In m; only for a field of dimension 2.
@@ -193,6 +213,8 @@ def AddGuidance(
         gains: As in `Se3Controller`, of a quadrotor's parameters.
         sensors: Noise, delay and rates of the measurements; None: the ideal motion capture.
         supervisor: A `BranchSupervisor` for the same field, which is added.
+        heading: A `HeadingSystem`, which is added: where the vehicle looks; None: where the
+            gains say.
         measured_port: The state that is measured; by default that of the plant.  This is
             where a `Dropout` comes in.
 
@@ -216,7 +238,9 @@ def AddGuidance(
         guide = GuidanceSystem(guidance, speed, altitude, feedforward, vehicle.approach_rate)
         vehicle.CheckGuided(guidance.dim, speed)
     capture = vehicle.MakeMotionCapture(sample_period, sensors)
-    loop = GuidanceLoop(guide, vehicle.MakeController(), capture, supervisor, actuation)
+    loop = GuidanceLoop(
+        guide, vehicle.MakeController(), capture, supervisor, heading, actuation
+    )
     builder.AddNamedSystem(name, loop)
     builder.Connect(measured_port or plant.GetOutputPort("state"), loop.GetInputPort("state"))
     _Connect(builder, loop, plant, actuation)
@@ -235,12 +259,20 @@ def _VehicleOf(
             raise ConfigurationError("`gains` and `saturate` belong to the vehicle given")
         return parameters
     if parameters is None:
-        if not isinstance(plant, QuadrotorPlant):
-            raise ConfigurationError(
-                "parameters must be given for a plant that is not a QuadrotorPlant"
-            )
-        parameters = QuadrotorParameters.FromPlant(plant)
+        parameters = _ReadParameters(plant)
     return Quadrotor(parameters, gains, saturate)
+
+
+def _ReadParameters(plant: Any) -> QuadrotorParameters:
+    """Returns the parameters of a plant that knows its own."""
+    if isinstance(plant, QuadrotorPlant):
+        return QuadrotorParameters.FromPlant(plant)
+    if isinstance(plant, (QuadrotorInPlant, MultibodyQuadrotor)):
+        return plant.parameters
+    raise ConfigurationError(
+        "parameters must be given for a plant that is not a QuadrotorPlant or of a "
+        "MultibodyPlant"
+    )
 
 
 def _CheckPlace(builder: DiagramBuilder, plant: System, name: str, actuation: str) -> None:

@@ -113,15 +113,16 @@ def PlanarVehicle_(T: type) -> Any:  # noqa: D103 (the class below says it)
             """Airspeed, limit and lag."""
             return self._parameters
 
-        def SetVectorState(self, context: Any, state: Any) -> None:
-            """Sets position and heading, on a straight course; this system's own Context.
+        def SetVehicleState(self, root_context: Any, state: Any) -> None:
+            """Sets position and heading, on a straight course.
 
             Args:
-                context: This system's own.
+                root_context: Of the whole diagram.
                 state: The state (7,), whose velocity follows from heading and wind.
             """
             values = [*state[: HEADING + 1], *([0.0] if self._lags else [])]
-            context.SetContinuousState(ToVector(T, values))
+            own = self.GetMyMutableContextFromRoot(root_context)
+            own.SetContinuousState(ToVector(T, values))
 
         def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
             """Moves and turns the vehicle."""
@@ -187,7 +188,6 @@ class PlanarVehicleInWind(Diagram):
         builder.ExportOutput(wind, "wind")
         builder.BuildInto(self)
 
-    def SetVectorState(self, context: Context, state: Any) -> None:
+    def SetVehicleState(self, root_context: Context, state: Any) -> None:
         """Sets position and heading; see `PlanarVehicle`."""
-        own = self.GetMutableSubsystemContext(self._vehicle, context)
-        self._vehicle.SetVectorState(own, state)
+        self._vehicle.SetVehicleState(root_context, state)

@@ -5,7 +5,7 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
 import time
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -28,6 +28,7 @@ from systems import (
     Disturbance,
     Feasibility,
     Gains,
+    HeadingSystem,
     MakeFlightDiagram,
     MakeSimulator,
     Quadrotor,
@@ -84,6 +85,8 @@ class FlightSpec:
         disturbance: Wind, drag, motor lag and what else is not as believed; None: nothing is.
         gains: Gains of a quadrotor's controller; with a disturbance bandwidth it makes up for
             that.
+        heading: Where a quadrotor looks: "path", along its path, or the point (x, y) in m
+            towards which it looks; None: where the gains say.
         seed: Seed of the noise of the sensors and of the gusts.
         start: Position p_WB (x, y, z) of the hover that the flight starts from, m; None:
             beside the path, see `hover_start`.
@@ -100,6 +103,7 @@ class FlightSpec:
     sensors: SensorParameters | None = None
     disturbance: Disturbance | None = None
     gains: Gains = DEFAULT_GAINS
+    heading: Literal["path"] | tuple[float, float] | None = None
     seed: int = 0
     start: tuple[float, ...] | None = None
     duration: float | None = None
@@ -340,6 +344,7 @@ def simulate(
         sensors=spec.sensors,
         disturbance=spec.disturbance,
         supervisor=supervisor,
+        heading=None if spec.heading is None else _heading_system(spec.heading),
         lyapunov=lyapunov,
         level=level,
         meshcat=None if scene is None else scene.meshcat,
@@ -373,6 +378,10 @@ def simulate(
     log["cross_track_error"] = reference.project(positions_of(log, field.dim)).distance
     left = None if watch is None else watch.exit
     return SimulatedFlight(log, wall_s, over, left, feasibility)
+
+
+def _heading_system(heading: Literal["path"] | tuple[float, float]) -> Any:
+    return HeadingSystem(None if heading == "path" else heading)
 
 
 @contextmanager

@@ -31,8 +31,8 @@ def moved(parameters, turn_rate, duration, wind=None):
             builder.Connect(source.get_output_port(), vehicle.GetInputPort(name))
     diagram = builder.Build()
     simulator = MakeSimulator(diagram)
-    context = vehicle.GetMyMutableContextFromRoot(simulator.get_mutable_context())
-    vehicle.SetVectorState(context, START)
+    context = vehicle.GetMyContextFromRoot(simulator.get_context())
+    vehicle.SetVehicleState(simulator.get_mutable_context(), START)
     simulator.AdvanceTo(duration)
     return vehicle.GetOutputPort("state").Eval(context)
 
@@ -88,7 +88,7 @@ def test_moving_air_is_that_of_the_disturbance():
     vehicle = PlanarVehicleInWind(PlanarVehicleParameters(5.0, 1.0), air)
     context = vehicle.CreateDefaultContext()
     vehicle.GetInputPort("turn_rate").FixValue(context, [0.0])
-    vehicle.SetVectorState(context, START)
+    vehicle.SetVehicleState(context, START)
     simulator = Simulator(vehicle, context)
     simulator.AdvanceTo(2.0)
     moved_by = vehicle.GetOutputPort("state").Eval(context)[:2] - START[:2]
