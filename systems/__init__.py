@@ -53,6 +53,7 @@ from systems.sensing import (
     MotionCapture,
     SensorParameters,
 )
+from systems.spacing import AddSpacing, Pace, SpacingController, SpacingController_
 from systems.state_estimator import StateEstimator, StateEstimator_
 from systems.supervision import HOLD_POSITION, ON_TOUR, Mode
 from systems.visualization import (
@@ -73,6 +74,7 @@ __all__ = [
     "AddGuidance",
     "AddLyapunovMonitor",
     "AddQuadrotorGeometry",
+    "AddSpacing",
     "Body",
     "Branch",
     "BranchAlong",
@@ -106,6 +108,7 @@ __all__ = [
     "MakeSimulator",
     "Mode",
     "MotionCapture",
+    "Pace",
     "QuadrotorGeometry",
     "QuadrotorParameters",
     "RouteNavigator",
@@ -119,6 +122,8 @@ __all__ = [
     "SetPositions",
     "SetVehicleState",
     "SetView",
+    "SpacingController",
+    "SpacingController_",
     "StateEstimator",
     "StateEstimator_",
     "StopOnExit",

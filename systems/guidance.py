@@ -111,6 +111,7 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             input_ports:
             - position
             - velocity
+            - speed
             output_ports:
             - velocity_command
             - acceleration_feedforward
@@ -125,7 +126,9 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
         vehicle moves with its own velocity: speed J(p_WB) v_WB, where J is the field's
         Jacobian.  It is what makes a vehicle turn with the path instead of after it.
 
-        `speed` (1) is the parameter of that name, in m/s.
+        The output `speed` (1) in m/s is the parameter of that name or, where the input `speed`
+        (1) is connected, the lesser of the two: the approach length is for the parameter, so a
+        faster vehicle could not follow.  The feed-forward takes this speed as constant.
 
         A directed field m(x, g) is followed with g = h, a heading that is remembered in the
         continuous state (d), of no unit and of length at most 1.  It turns to a further input,
@@ -191,8 +194,10 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             self._intended: Any = None
             if isinstance(field, SteerableField):
                 sources |= self._DeclareHeading(field, sources)
-            DeclareCommandPorts(self, T, self._CalcCommands, sources)
-            self.DeclareVectorOutputPort("speed", 1, self._CalcSpeed, {parameters})
+            self._asked = self.DeclareVectorInputPort("speed", 1)
+            asked = self.input_port_ticket(self._asked.get_index())
+            DeclareCommandPorts(self, T, self._CalcCommands, {*sources, asked})
+            self.DeclareVectorOutputPort("speed", 1, self._CalcSpeed, {parameters, asked})
 
         _construct_copy = ConstructCopy
 
@@ -226,7 +231,7 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             return self._Flown(*self._ReadParameters(context)[2:]).field
 
         def GetSpeed(self, context: Any) -> Scalar:
-            """Returns the speed in m/s."""
+            """Returns the speed in m/s; where the input `speed` is connected, the most."""
             return self._Parameters(context).GetAtIndex(0)
 
         def SetSpeed(self, context: Any, speed: Scalar) -> None:
@@ -290,7 +295,8 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             """Turns the heading."""
             if self._intended is not None:
                 turn = self._Turn(context, self._EvalMotion(context))
-                derivatives.get_mutable_vector().SetFromVector(self.GetSpeed(context) * turn)
+                speed = self._FlownSpeed(context, self.GetSpeed(context))
+                derivatives.get_mutable_vector().SetFromVector(speed * turn)
 
         def _EvalDirected(self, context: Any) -> tuple[np.ndarray, np.ndarray]:
             """Returns m and J by rows, (d + d^2,), and dm by the turn of the heading, (d,)."""
@@ -335,6 +341,7 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             velocity = self._velocity.Eval(context)
             speed, altitude, approach_length = self._ReadParameters(context)
             CheckNonNegativeParameter("speed", speed)
+            speed = self._FlownSpeed(context, speed)
             if self._intended is None:
                 field = self._Flown(approach_length).evaluate(position[: self._field.dim])
                 commands = self._Calc(field, position, velocity, speed, altitude)
@@ -353,11 +360,20 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
                 commands[3:] = T(0.0)
             return commands
 
+        def _FlownSpeed(self, context: Any, most: Scalar) -> Scalar:
+            """Returns the speed that the input asks for, if it does, but no more than another."""
+            if not self._asked.HasValue(context):
+                return most
+            asked = self._asked.Eval(context)[0]
+            CheckFinite(self, context, self._asked, [ToFloat(asked)])
+            CheckNonNegativeParameter("the speed that is asked for", asked)
+            return asked if asked < most else most
+
         def _CopyHeading(self, context: Any, output: Any) -> None:
             output.SetFromVector(self.GetHeading(context))
 
         def _CalcSpeed(self, context: Any, output: Any) -> None:
-            output.SetAtIndex(0, self.GetSpeed(context))
+            output.SetAtIndex(0, self._FlownSpeed(context, self.GetSpeed(context)))
 
     return Impl
 
