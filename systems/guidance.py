@@ -361,7 +361,7 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             return commands
 
         def _FlownSpeed(self, context: Any, most: Scalar) -> Scalar:
-            """Returns the speed that the input asks for, if it does, but no more than another."""
+            """Returns the speed that is asked for, if one is, but no more than another."""
             if not self._asked.HasValue(context):
                 return most
             asked = self._asked.Eval(context)[0]

@@ -58,7 +58,7 @@ class Beads(LeafSystem):
         arc = context.get_continuous_state_vector().GetAtIndex(i) % self.line.length
         return np.append(self.line.at(np.array([arc]))[0], 1.0)
 
-    def DoCalcTimeDerivatives(self, context, derivatives):
+    def DoCalcTimeDerivatives(self, context, derivatives):  # noqa: N802
         derivatives.SetFromVector([port.Eval(context)[0] for port in self.speeds])
 
 
