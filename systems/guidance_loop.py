@@ -4,6 +4,7 @@ from typing import Any
 
 from pydrake.examples import QuadrotorPlant
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPort, System
+from pydrake.systems.primitives import Integrator
 
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields.base import Field, SteerableField
@@ -87,6 +88,9 @@ class GuidanceLoop(Diagram):
         _Connect(builder, motion_capture, controller, "state")
         if motion_capture.HasInputPort("acceleration"):
             _Connect(builder, controller, motion_capture, "acceleration")
+        self._predictor: Any = None
+        if controller.HasInputPort("predicted_velocity"):
+            self._AddPredictor(builder)
         commander = guidance
         if supervisor is not None:
             commander = self.supervisor = builder.AddNamedSystem("supervisor", supervisor)
@@ -113,6 +117,14 @@ class GuidanceLoop(Diagram):
                 builder.ExportOutput(supervisor.GetOutputPort(name), name)
         builder.BuildInto(self)
 
+    def _AddPredictor(self, builder: DiagramBuilder) -> None:
+        controller = self.controller
+        predictor = self._predictor = builder.AddNamedSystem("predictor", Integrator(3))
+        builder.Connect(controller.GetOutputPort("acceleration"), predictor.get_input_port())
+        builder.Connect(
+            predictor.get_output_port(), controller.GetInputPort("predicted_velocity")
+        )
+
     def _ConnectSupervisor(self, builder: DiagramBuilder) -> None:
         capture, guidance, supervisor = self.motion_capture, self.guidance, self.supervisor
         _Connect(builder, capture, supervisor, *MOTION)
@@ -124,16 +136,17 @@ class GuidanceLoop(Diagram):
             _Connect(builder, capture, supervisor, "measurement_age")
 
     def SetVectorState(self, context: Context, state: Any) -> None:
-        """Makes the motion capture, and the controller, have seen a state.
+        """Makes the motion capture, and what predicts the velocity, have seen a state.
 
         Args:
             context: This system's own.
             state: The state (12,), as QuadrotorPlant's.
         """
-        capture, controller = self.motion_capture, self.controller
+        capture, predictor = self.motion_capture, self._predictor
         capture.SetVectorState(self.GetMutableSubsystemContext(capture, context), state)
-        own = self.GetMutableSubsystemContext(controller, context)
-        controller.SetVelocity(own, state[VELOCITY])
+        if predictor is not None:
+            own = self.GetMutableSubsystemContext(predictor, context)
+            predictor.set_integral_value(own, state[VELOCITY])
 
 
 def AddGuidance(
