@@ -295,7 +295,7 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             """Turns the heading."""
             if self._intended is not None:
                 turn = self._Turn(context, self._EvalMotion(context))
-                speed = self._FlownSpeed(context, self.GetSpeed(context))
+                speed = self._FlownSpeed(context)
                 derivatives.get_mutable_vector().SetFromVector(speed * turn)
 
         def _EvalDirected(self, context: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -341,7 +341,8 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             velocity = self._velocity.Eval(context)
             speed, altitude, approach_length = self._ReadParameters(context)
             CheckNonNegativeParameter("speed", speed)
-            speed = self._FlownSpeed(context, speed)
+            if self._asked.HasValue(context):
+                speed = self._AtMost(context, speed)
             if self._intended is None:
                 field = self._Flown(approach_length).evaluate(position[: self._field.dim])
                 commands = self._Calc(field, position, velocity, speed, altitude)
@@ -360,20 +361,23 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
                 commands[3:] = T(0.0)
             return commands
 
-        def _FlownSpeed(self, context: Any, most: Scalar) -> Scalar:
-            """Returns the speed that is asked for, if one is, but no more than another."""
-            if not self._asked.HasValue(context):
-                return most
+        def _FlownSpeed(self, context: Any) -> Scalar:
+            """Returns the speed of the parameter, or of the input, if that is less."""
+            speed = self.GetSpeed(context)
+            return self._AtMost(context, speed) if self._asked.HasValue(context) else speed
+
+        def _AtMost(self, context: Any, speed: Scalar) -> Scalar:
+            """Returns the speed that is asked for, or another one, if that is less."""
             asked = self._asked.Eval(context)[0]
             CheckFinite(self, context, self._asked, [ToFloat(asked)])
             CheckNonNegativeParameter("the speed that is asked for", asked)
-            return asked if asked < most else most
+            return asked if asked < speed else speed
 
         def _CopyHeading(self, context: Any, output: Any) -> None:
             output.SetFromVector(self.GetHeading(context))
 
         def _CalcSpeed(self, context: Any, output: Any) -> None:
-            output.SetAtIndex(0, self._FlownSpeed(context, self.GetSpeed(context)))
+            output.SetAtIndex(0, self._FlownSpeed(context))
 
     return Impl
 

@@ -37,6 +37,7 @@ class GuidanceLoop(Diagram):
         name: GuidanceLoop
         input_ports:
         - state
+        - speed
         output_ports:
         - measured_state
         - position
@@ -48,9 +49,9 @@ class GuidanceLoop(Diagram):
     `measured_state` (12), `velocity_command` (3) in m/s and `acceleration_feedforward` (3) in
     m/s^2 in W are what the controller is given, and `position` (3) in m is what guidance is
     given.  What else a supervisor tells is an output too: `mode`, `branch`, and on a directed
-    field `edge` and `arc`.  What may stay unconnected is an input: `speed` of guidance;
-    `next_edge` of a supervisor and, without sensors, its `measurement_age`; without a
-    supervisor `intended_direction` of guidance.
+    field `edge` and `arc`.  `speed` (1) in m/s is that of `GuidanceSystem`.  What else
+    may stay unconnected is an input too: `next_edge` of a supervisor and, without sensors, its
+    `measurement_age`; without a supervisor `intended_direction` of guidance.
 
     The systems inside have the names of the attributes.  Everything but the motion capture is
     direct feed-through.  What Drake converts or clones is a plain Diagram of the same systems.

@@ -32,11 +32,14 @@ changes a speed."""
 MEAN_SHARE, SLOWEST_SHARE = 0.75, 0.5
 """Mean and least speed over the greatest, where only that is known."""
 
-DEFAULT_SPACING_PERIOD = 0.05
-"""s; a vehicle at 2 m/s moves 0.1 m in it."""
+DEFAULT_SPACING_PERIOD = 0.1
+"""s; short beside the time 1 / (4 gain) in which gaps change fastest."""
 
 REACH_SHARE = 0.05
 """Share of its length that a vehicle may be off the path, and still counts as on it."""
+
+OFF_PATH = -1.0
+"""The arc and the gap of a vehicle that is not on the path."""
 
 ROUNDING = 1e-12
 """Distances that differ by less than this part of the length are equal."""
@@ -73,16 +76,17 @@ def SpacingController_(T: type) -> Any:  # noqa: D103 (the class below says it)
             name: SpacingController
             input_ports:
             - position_0
-            - position_...
+            - position_1
             output_ports:
             - speed_0
-            - speed_...
+            - speed_1
             - arcs
             - gaps
 
-        `position_i` (3) is p_WB of vehicle i in m, and `speed_i` (1) in m/s is for the input
-        `speed` of its guidance.  `arcs` (n) in m tells where on the path each is, and `gaps`
-        (n) in m how far the next vehicle is ahead, along the path; they sum to its length.
+        These are the ports for two vehicles; more have more of them.  `position_i` (3) is p_WB
+        of vehicle i in m, and `speed_i` (1) in m/s is for the input `speed` of its guidance.
+        `arcs` (n) in m tells where on the path each is, and `gaps` (n) in m how far the next
+        vehicle is ahead, along the path; they sum to its length.
 
         With the gap g_i ahead of vehicle i, which is to be the share w_i of the length, and
         the vehicle i - 1 behind it, the speed is
@@ -107,8 +111,8 @@ def SpacingController_(T: type) -> Any:  # noqa: D103 (the class below says it)
         `period`.  A vehicle is looked for from its last arc length on to `reach` ahead, so it
         stays on its strand where the path crosses itself.  Where it is farther than
         `reach` from that part of the path, it is looked for on the whole.  Where it is farther
-        from that too, it is not on the path: its arc and its gap are NaN, it is given the
-        speed v, and the others count without it, their shares enlarged in proportion.
+        from that too, it is not on the path: its arc and its gap are `OFF_PATH`, it is given
+        the speed v, and the others count without it, their shares enlarged in proportion.
 
         The numeric parameters are the `Pace` (index `pace_index`) and the shares (n)
         (`shares_index`); see `SetPace` and `SetShares`.  They are read at each update.  The
@@ -159,17 +163,16 @@ def SpacingController_(T: type) -> Any:  # noqa: D103 (the class below says it)
             self.pace_index = self.DeclareNumericParameter(BasicVector_[T](pace))
             first = _CheckedShares(np.ones(n) if shares is None else shares, n)
             self.shares_index = self.DeclareNumericParameter(BasicVector_[T](first))
-            self._arcs = self.DeclareDiscreteState(BasicVector_[T]([np.nan] * n))
-            self._speeds = self.DeclareDiscreteState(BasicVector_[T]([pace.speed] * n))
+            start = [OFF_PATH] * n + [pace.speed] * n
+            self._index = self.DeclareDiscreteState(BasicVector_[T](start))
             self.DeclareInitializationDiscreteUpdateEvent(self._Start)
             self.DeclarePeriodicDiscreteUpdateEvent(period, period, self._Advance)
-            arcs = {self.discrete_state_ticket(self._arcs)}
-            speeds = {self.discrete_state_ticket(self._speeds)}
+            state = {self.discrete_state_ticket(self._index)}
             for i in range(n):
                 copy = partial(self._CopySpeed, i)
-                self.DeclareVectorOutputPort(f"speed_{i}", 1, copy, speeds)
-            self.DeclareStateOutputPort("arcs", self._arcs)
-            self.DeclareVectorOutputPort("gaps", n, self._CalcGaps, arcs)
+                self.DeclareVectorOutputPort(f"speed_{i}", 1, copy, state)
+            self.DeclareVectorOutputPort("arcs", n, self._CopyArcs, state)
+            self.DeclareVectorOutputPort("gaps", n, self._CalcGaps, state)
 
         _construct_copy = ConstructCopy
 
@@ -194,10 +197,10 @@ def SpacingController_(T: type) -> Any:  # noqa: D103 (the class below says it)
             parameters = context.get_mutable_numeric_parameter(self.pace_index)
             parameters.SetFromVector(ToVector(T, pace))
 
-        def GetShares(self, context: Any) -> FloatArray:
-            """Returns the shares (n,), which sum to 1; this system's own Context is wanted."""
+        def GetShares(self, context: Any) -> tuple[float, ...]:
+            """Returns the n shares, which sum to 1; this system's own Context is wanted."""
             parameters = context.get_numeric_parameter(self.shares_index)
-            return np.array(ToList(parameters.CopyToVector()))
+            return tuple(ToList(parameters.CopyToVector()))
 
         def SetShares(self, context: Any, shares: ArrayLike) -> None:
             """Sets the shares (n,), in any unit; this system's own Context is wanted."""
@@ -218,7 +221,7 @@ def SpacingController_(T: type) -> Any:  # noqa: D103 (the class below says it)
             CheckPositiveParameter("gain", pace.gain)
 
         def _Start(self, context: Any, values: Any) -> EventStatus:
-            return self._Update(context, values, np.full(self._count, np.nan))
+            return self._Update(context, values, np.full(self._count, OFF_PATH))
 
         def _Advance(self, context: Any, values: Any) -> EventStatus:
             return self._Update(context, values, self._Arcs(context))
@@ -229,21 +232,26 @@ def SpacingController_(T: type) -> Any:  # noqa: D103 (the class below says it)
             arcs = self._line.Track(positions, arcs, self._reach)
             pace = self.GetPace(context)
             self._CheckPace(pace)
-            speeds = _Speeds(*_Gaps(arcs, self.length), self.GetShares(context), pace)
-            for index, vector in ((self._arcs, arcs), (self._speeds, speeds)):
-                values.get_mutable_vector(index).SetFromVector(ToVector(T, vector.tolist()))
+            shares = np.array(self.GetShares(context))
+            speeds = _Speeds(*_Gaps(arcs, self.length), shares, pace)
+            state = ToVector(T, [*arcs.tolist(), *speeds.tolist()])
+            values.get_mutable_vector(self._index).SetFromVector(state)
             return EventStatus.Succeeded()
 
         def _Arcs(self, context: Any) -> FloatArray:
-            return np.array(ToList(context.get_discrete_state(self._arcs).CopyToVector()))
+            state = ToList(context.get_discrete_state(self._index).CopyToVector())
+            return np.array(state[: self._count])
 
         def _CopySpeed(self, vehicle: int, context: Any, output: Any) -> None:
-            speeds = context.get_discrete_state(self._speeds)
-            output.SetAtIndex(0, speeds.GetAtIndex(vehicle))
+            state = context.get_discrete_state(self._index)
+            output.SetAtIndex(0, state.GetAtIndex(self._count + vehicle))
+
+        def _CopyArcs(self, context: Any, output: Any) -> None:
+            output.SetFromVector(ToVector(T, self._Arcs(context).tolist()))
 
         def _CalcGaps(self, context: Any, output: Any) -> None:
             order, gaps = _Gaps(self._Arcs(context), self.length)
-            of_vehicles = np.full(self._count, np.nan)
+            of_vehicles = np.full(self._count, OFF_PATH)
             of_vehicles[order] = gaps
             output.SetFromVector(ToVector(T, of_vehicles.tolist()))
 
@@ -350,18 +358,19 @@ class _ClosedLine:
     def Track(self, positions: FloatArray, arcs: FloatArray, reach: float) -> FloatArray:
         """Returns the arc lengths (n,) of vehicles at positions (n, 3), from their last ones.
 
-        NaN is that of a vehicle that is not within `reach` of the path; others are looked
-        for from where they were on, up to that far ahead.
+        A vehicle that is not within `reach` of the path is `OFF_PATH`; others are looked for
+        from where they were on, up to that far ahead.
         """
         places = positions[:, : self._starts.shape[1]]
         ahead = np.arange(1 + np.searchsorted(self._arcs, reach))
-        found = np.full(len(places), np.nan)
-        known = np.flatnonzero(np.isfinite(arcs))
+        found = np.full(len(places), OFF_PATH)
+        known = np.flatnonzero(arcs >= 0.0)
         here = np.searchsorted(self._arcs, arcs[known], side="right") - 1
         found[known] = self._Nearest(places[known], here[:, None] + ahead, reach)
-        lost = np.flatnonzero(np.isnan(found))
-        everywhere = np.broadcast_to(np.arange(len(self._arcs)), (len(lost), len(self._arcs)))
-        found[lost] = self._Nearest(places[lost], everywhere, reach)
+        lost = np.flatnonzero(found < 0.0)
+        if len(lost):
+            everywhere = np.tile(np.arange(len(self._arcs)), (len(lost), 1))
+            found[lost] = self._Nearest(places[lost], everywhere, reach)
         return found
 
     def _Nearest(self, places: FloatArray, segments: IntArray, reach: float) -> FloatArray:
@@ -373,16 +382,16 @@ class _ClosedLine:
         away = np.linalg.norm(places[:, None] - starts - along[..., None] * steps, axis=2)
         # The first of equals: before a dead end, the way in, and not the way back over it.
         nearest = away.min(axis=1, keepdims=True) + ROUNDING * self.length
-        best = (away <= nearest).argmax(axis=1)[:, None]
-        near = np.take_along_axis(away, best, axis=1) <= reach
-        arcs = self._arcs[segments] + along * self._lengths[segments]
-        arcs = np.take_along_axis(arcs, best, axis=1)
-        return np.where(near, arcs % self.length, np.nan)[:, 0]
+        best = (away <= nearest).argmax(axis=1)
+        rows = np.arange(len(places))
+        segment = segments[rows, best]
+        arcs = self._arcs[segment] + along[rows, best] * self._lengths[segment]
+        return np.where(away[rows, best] <= reach, arcs % self.length, OFF_PATH)
 
 
 def _Gaps(arcs: FloatArray, length: float) -> tuple[IntArray, FloatArray]:
     """Returns the vehicles (m,) on the path in their order, and the gap (m,) ahead of each."""
-    on = np.flatnonzero(np.isfinite(arcs))
+    on = np.flatnonzero(arcs >= 0.0)
     order = on[np.argsort(arcs[on], kind="stable")]
     return order, np.diff(arcs[order], append=arcs[order[:1]] + length)
 

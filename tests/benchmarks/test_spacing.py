@@ -27,7 +27,7 @@ from .measuring import best_of, trained
 
 pytestmark = pytest.mark.benchmark
 
-SIMULATED_S, REPEATS = 20.0, 5
+SIMULATED_S, REPEATS = 10.0, 5
 # Share of a gap.
 SETTLED = 0.02
 # Of the length, between neighbours at the start.

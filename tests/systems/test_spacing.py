@@ -22,6 +22,7 @@ from systems import (
     SetHover,
     SpacingController,
 )
+from systems.spacing import OFF_PATH
 
 from .flying import LANES, LAP, ONE_RING, PARAMETERS, RINGS, SPEED
 
@@ -163,13 +164,13 @@ def test_who_is_not_on_the_path_does_not_count():
     trace = at_angles(angles)
     trace[10:20, 1] *= [2.0, 2.0, 1.0]
     arcs, _, _ = track(RINGS[0], trace)
-    assert np.isnan(arcs[10:20, 1]).all()
+    assert (arcs[10:20, 1] == OFF_PATH).all()
     arcs[10:20, 1] = angles[10:20, 1]
     np.testing.assert_allclose(arcs, angles, atol=3e-3)
     _, spacing, context = track(RINGS[0], trace[:15])
     gaps = spacing.GetOutputPort("gaps").Eval(context)
     np.testing.assert_allclose(gaps[[0, 2]], [4.0, LAP - 4.0], atol=2e-3)
-    assert np.isnan(gaps[1])
+    assert gaps[1] == OFF_PATH
     speeds = [spacing.GetOutputPort(f"speed_{i}").Eval(context)[0] for i in range(3)]
     expected = PACE.gain * 2.0 * (4.0 - math.pi)
     clipped = np.clip([PACE.speed + expected, PACE.speed - expected], *PACE[1:3])
@@ -188,7 +189,7 @@ def test_a_dead_end_is_left_again():
 
 def test_nobody_on_the_path_is_no_error():
     arcs, spacing, context = track(RINGS[0], at_angles([[0.0, 1.0]], radius=3.0))
-    assert np.isnan(arcs).all()
+    assert (arcs == OFF_PATH).all()
     assert spacing.GetOutputPort("speed_1").Eval(context)[0] == PACE.speed
 
 
