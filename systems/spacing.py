@@ -86,7 +86,7 @@ def SpacingController_(T: type) -> Any:  # noqa: D103 (the class below says it)
         These are the ports for two vehicles; more have more of them.  `position_i` (3) is p_WB
         of vehicle i in m, and `speed_i` (1) in m/s is for the input `speed` of its guidance.
         `arcs` (n) in m tells where on the path each is, and `gaps` (n) in m how far the next
-        vehicle is ahead, along the path; they sum to its length.
+        vehicle on it is ahead, along the path; they sum to its length.
 
         With the gap g_i ahead of vehicle i, which is to be the share w_i of the length, and
         the vehicle i - 1 behind it, the speed is
@@ -99,10 +99,10 @@ def SpacingController_(T: type) -> Any:  # noqa: D103 (the class below says it)
         with x_i = r_i - r_(i-1).  The x_i sum to zero, and v_i - v has the sign of x_i, so
         the rate is -sum x_i (v_i - v) <= 0, and zero only where all r_i are equal, which is
         where V is least.  And the least r_i never shrinks, since the vehicle ahead of it is
-        at least as fast as v, and the one behind at most: nobody overtakes, and the least of
-        gaps that are to be equal never gets less.  Near the end and for equal
-        shares, errors die out at the rates k (2 - 2 cos(2 pi j / n)), j = 1..n-1.  All this is
-        for vehicles that fly at the speeds they are given.
+        at least as fast as v, and the one behind at most as fast: nobody overtakes, and of gaps
+        that are to be equal the least never gets less.  Small errors of equal gaps die out at
+        the rates k (2 - 2 cos(2 pi j / n)), j = 1..n-1.  All this is for vehicles that fly at
+        the speeds they are given.
 
         Gaps are along the path.  Where a path crosses itself, vehicles on both strands may
         meet; see `sgvf_drake.metrics.least_separation`.
@@ -232,7 +232,7 @@ def SpacingController_(T: type) -> Any:  # noqa: D103 (the class below says it)
             arcs = self._line.Track(positions, arcs, self._reach)
             pace = self.GetPace(context)
             self._CheckPace(pace)
-            shares = np.array(self.GetShares(context))
+            shares = _CheckedShares(self.GetShares(context), self._count)
             speeds = _Speeds(*_Gaps(arcs, self.length), shares, pace)
             state = ToVector(T, [*arcs.tolist(), *speeds.tolist()])
             values.get_mutable_vector(self._index).SetFromVector(state)

@@ -217,6 +217,17 @@ def test_pace_and_shares_are_parameters():
     assert converted.GetPace(copy) == other
 
 
+def test_shares_written_into_the_context_are_checked_too():
+    spacing = SpacingController(RINGS[0], 2, PACE)
+    simulator = Simulator(spacing)
+    context = simulator.get_mutable_context()
+    for i, place in enumerate(at_angles([0.0, 1.0])):
+        spacing.get_input_port(i).FixValue(context, place)
+    context.get_mutable_numeric_parameter(spacing.shares_index).SetAtIndex(1, 0.0)
+    with pytest.raises(ConfigurationError, match="need 2 shares"):
+        simulator.Initialize()
+
+
 class Squad:
     """Vehicles around the ring, with a loop each."""
 
