@@ -39,6 +39,8 @@ DEFAULT_GAINS = Gains(
 at 18 (at 15 with a damping ratio of 1); a velocity gain above a quarter of the bandwidth, or a
 damping ratio of 1, makes the turn-in at 4 m/s oscillate."""
 
+HEADING = Gains._fields.index("heading")
+"""Its place among the numeric parameters."""
 
 DISTURBANCE_BANDWIDTH = 6.0
 """rad/s, of the estimate of what disturbs a vehicle: half of that of the attitude that answers.
@@ -57,6 +59,7 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
             - state
             - velocity_command
             - acceleration_feedforward
+            - heading
             - predicted_velocity
             output_ports:
             - propeller_force
@@ -65,6 +68,9 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
         `state` (12) is QuadrotorPlant's, in metres, radians and seconds; z is up.
 
         `velocity_command` (3) in m/s and `acceleration_feedforward` (3) in m/s^2 are in W.
+
+        `heading` (1), the desired yaw in rad, takes the place of that of the gains; it may stay
+        unconnected.  A vehicle turns to it from any yaw (see `systems.se3_law.LimitHeading`).
 
         `propeller_force` (4) is QuadrotorPlant's input: forces in N over the plant's
         force constant kF, which is 1 by default.  Each force is in
@@ -83,9 +89,9 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
         integral action that does not wind up where the forces are limited.
 
         The law is that of Lee, Leok and McClamroch 2010 (see `systems.se3_law`), with a
-        velocity command in place of a trajectory and the heading held fixed.  The numeric
-        parameters are the `Gains` (index `gains_index`, see `SetGains`) and the `Body`, the
-        mass and inertia that the controller believes (index `body_index`, see `SetBody`).
+        velocity command in place of a trajectory and the heading taken to be fixed.  The
+        numeric parameters are the `Gains` (index `gains_index`, see `SetGains`) and the `Body`,
+        the mass and inertia that the controller believes (index `body_index`, see `SetBody`).
         Both outputs are direct feed-through.
 
         Args:
@@ -117,6 +123,7 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
             self._acceleration_feedforward = self.DeclareVectorInputPort(
                 "acceleration_feedforward", 3
             )
+            self._heading = self.DeclareVectorInputPort("heading", 1)
             self.gains_index = self.DeclareNumericParameter(BasicVector_[T](list(gains)))
             self._undisturbed = ToVector(T, [0.0, 0.0, 0.0])
             self._predicted_velocity: Any = None
@@ -183,12 +190,15 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
             return bandwidth * (self._state.Eval(context)[VELOCITY] - predicted)
 
         def _CalcPropellerForce(self, context: Any, output: Any) -> None:
+            gains = context.get_numeric_parameter(self.gains_index).CopyToVector()
+            if self._heading.HasValue(context):
+                gains[HEADING] = self._heading.Eval(context)[0]
             arguments = (
                 self._state.Eval(context),
                 self._velocity_command.Eval(context),
                 self._acceleration_feedforward.Eval(context),
                 self._CalcDisturbance(context),
-                context.get_numeric_parameter(self.gains_index).CopyToVector(),
+                gains,
                 context.get_numeric_parameter(self.body_index).CopyToVector(),
                 self._parameters.rotors,
                 self._parameters.gravity,
@@ -220,6 +230,9 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
         def _CheckInputs(self, context: Any) -> None:
             for port in (self._state, self._velocity_command, self._acceleration_feedforward):
                 CheckFinite(self, context, port, ToList(port.Eval(context)))
+            if self._heading.HasValue(context):
+                heading = self._heading.Eval(context)
+                CheckFinite(self, context, self._heading, ToList(heading))
             _CheckGains(self.GetGains(context))
             _CheckBody(self.GetBody(context))
 
