@@ -231,6 +231,26 @@ def grid_starts(box: tuple[ArrayLike, ArrayLike], n: int, dim: int) -> FloatArra
     return grid[np.arange(n) * (len(grid) - 1) // (n - 1)]
 
 
+def least_separation(positions: ArrayLike) -> FloatArray:
+    """Returns the distance (T,) between those two of n agents that are nearest to each other.
+
+    Args:
+        positions: (T, n, d), of two agents or more.
+
+    Raises:
+        ConfigurationError: if the shape is wrong.
+        NonFiniteValueError: if a position is not finite.
+    """
+    x = np.asarray(positions, dtype=np.float64)
+    if x.ndim != 3 or x.shape[1] < 2:
+        raise ConfigurationError(f"positions must be (T, n, d) with n >= 2, not {x.shape}")
+    if not np.isfinite(x).all():
+        raise NonFiniteValueError("a position is not finite")
+    one, other = np.triu_indices(x.shape[1], 1)
+    distances = np.linalg.norm(x[:, one] - x[:, other], axis=2)
+    return np.asarray(distances.min(axis=1))
+
+
 def _check(
     times: ArrayLike,
     positions: ArrayLike,

@@ -69,6 +69,7 @@ from systems.sensing import (
     MotionCapture,
     SensorParameters,
 )
+from systems.spacing import AddSpacing, Pace, SpacingController, SpacingController_
 from systems.state_estimator import StateEstimator, StateEstimator_
 from systems.supervision import HOLD_POSITION, ON_TOUR, Mode
 from systems.turning_vehicles import FixedWing, Unicycle
@@ -94,6 +95,7 @@ __all__ = [
     "AddLyapunovMonitor",
     "AddMultibodyQuadrotor",
     "AddQuadrotorGeometry",
+    "AddSpacing",
     "Body",
     "Branch",
     "BranchAlong",
@@ -137,6 +139,7 @@ __all__ = [
     "MotionCapture",
     "MultibodyQuadrotor",
     "MultibodyQuadrotorSdf",
+    "Pace",
     "PlanarVehicle",
     "PlanarVehicleInWind",
     "PlanarVehicleParameters",
@@ -156,6 +159,8 @@ __all__ = [
     "SetPositions",
     "SetVehicleState",
     "SetView",
+    "SpacingController",
+    "SpacingController_",
     "StateEstimator",
     "StateEstimator_",
     "StopOnExit",

@@ -114,6 +114,7 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             input_ports:
             - position
             - velocity
+            - speed
             output_ports:
             - velocity_command
             - acceleration_feedforward
@@ -128,7 +129,9 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
         vehicle moves with its own velocity: speed J(p_WB) v_WB, where J is the field's
         Jacobian.  It is what makes a vehicle turn with the path instead of after it.
 
-        `speed` (1) is the parameter of that name, in m/s.
+        The output `speed` (1) in m/s is the parameter of that name or, where the input `speed`
+        (1) is connected, the lesser of the two: the approach length is for the parameter, so a
+        faster vehicle could not follow.  The feed-forward takes this speed as constant.
 
         A directed field m(x, g) is followed with g = h, a heading that is remembered in the
         continuous state (d), of no unit and of length at most 1.  It turns to a further input,
@@ -200,8 +203,10 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             self._intended: Any = None
             if isinstance(field, SteerableField):
                 sources |= self._DeclareHeading(field, sources)
-            DeclareCommandPorts(self, T, self._CalcCommands, sources)
-            self.DeclareVectorOutputPort("speed", 1, self._CalcSpeed, {parameters})
+            self._asked = self.DeclareVectorInputPort("speed", 1)
+            asked = self.input_port_ticket(self._asked.get_index())
+            DeclareCommandPorts(self, T, self._CalcCommands, {*sources, asked})
+            self.DeclareVectorOutputPort("speed", 1, self._CalcSpeed, {parameters, asked})
 
         _construct_copy = ConstructCopy
 
@@ -235,7 +240,7 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             return self._Flown(*self._ReadParameters(context)[2:]).field
 
         def GetSpeed(self, context: Any) -> Scalar:
-            """Returns the speed in m/s."""
+            """Returns the speed in m/s; where the input `speed` is connected, the most."""
             return self._Parameters(context).GetAtIndex(0)
 
         def SetSpeed(self, context: Any, speed: Scalar) -> None:
@@ -300,7 +305,8 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             """Turns the heading."""
             if self._intended is not None:
                 turn = self._Turn(context, self._EvalMotion(context))
-                derivatives.get_mutable_vector().SetFromVector(self.GetSpeed(context) * turn)
+                speed = self._FlownSpeed(context)
+                derivatives.get_mutable_vector().SetFromVector(speed * turn)
 
         def _EvalDirected(self, context: Any) -> tuple[np.ndarray, np.ndarray]:
             """Returns m and J by rows, (d + d^2,), and dm by the turn of the heading, (d,)."""
@@ -345,6 +351,8 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             velocity = self._velocity.Eval(context)
             speed, altitude, approach_length = self._ReadParameters(context)
             CheckNonNegativeParameter("speed", speed)
+            if self._asked.HasValue(context):
+                speed = self._AtMost(context, speed)
             if self._intended is None:
                 field = self._Flown(approach_length).evaluate(position[: self._field.dim])
                 commands = self._Calc(field, position, velocity, speed, altitude)
@@ -363,11 +371,23 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
                 commands[3:] = T(0.0)
             return commands
 
+        def _FlownSpeed(self, context: Any) -> Scalar:
+            """Returns the speed of the parameter, or of the input, if that is less."""
+            speed = self.GetSpeed(context)
+            return self._AtMost(context, speed) if self._asked.HasValue(context) else speed
+
+        def _AtMost(self, context: Any, speed: Scalar) -> Scalar:
+            """Returns the speed that is asked for, or another one, if that is less."""
+            asked = self._asked.Eval(context)[0]
+            CheckFinite(self, context, self._asked, [ToFloat(asked)])
+            CheckNonNegativeParameter("the speed that is asked for", asked)
+            return asked if asked < speed else speed
+
         def _CopyHeading(self, context: Any, output: Any) -> None:
             output.SetFromVector(self.GetHeading(context))
 
         def _CalcSpeed(self, context: Any, output: Any) -> None:
-            output.SetAtIndex(0, self.GetSpeed(context))
+            output.SetAtIndex(0, self._FlownSpeed(context))
 
     return Impl
 

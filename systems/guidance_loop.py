@@ -34,22 +34,25 @@ class GuidanceLoop(Diagram):
         name: GuidanceLoop
         input_ports:
         - state
+        - speed
         - heading
         output_ports:
         - measured_state
+        - position
         - velocity_command
         - acceleration_feedforward
         - propeller_force
 
     `state` (12) is what is measured, QuadrotorPlant's, and `propeller_force` (4) its input.
     `measured_state` (12), `velocity_command` (3) in m/s and `acceleration_feedforward` (3) in
-    m/s^2 in W are what the controller is given.  Another `Vehicle` has a state of another size,
-    and in place of `propeller_force` the port of its actuation.
+    m/s^2 in W are what the controller is given, and `position` (3) in m is what guidance is
+    given.  Another `Vehicle` has a state of another size, and in place of `propeller_force` the
+    port of its actuation.
 
     What else a supervisor tells is an output too: `mode`, `branch`, and on a directed field
-    `edge` and `arc`.  What may stay unconnected is an input: `next_edge` of a supervisor and,
-    without sensors, its `measurement_age`; without a supervisor `intended_direction` of
-    guidance; and `heading` of a controller that has one.
+    `edge` and `arc`.  What may stay unconnected is an input: `speed` (1) in m/s of guidance;
+    `next_edge` of a supervisor and, without sensors, its `measurement_age`; without a
+    supervisor `intended_direction` of guidance; and `heading` of a controller that has one.
 
     The systems inside have the names of the attributes.  Everything but the motion capture is
     direct feed-through.  What Drake converts or clones is a plain Diagram of the same systems.
@@ -118,6 +121,7 @@ class GuidanceLoop(Diagram):
             _Connect(builder, heading, controller, "heading")
         builder.ExportInput(motion_capture.GetInputPort("state"), "state")
         for system, name in (
+            (guidance, "speed"),
             (guidance, "intended_direction"),
             (supervisor, "next_edge"),
             (supervisor, "measurement_age"),
@@ -128,6 +132,7 @@ class GuidanceLoop(Diagram):
                 if not builder.IsConnectedOrExported(port):
                     builder.ExportInput(port, name)
         builder.ExportOutput(motion_capture.GetOutputPort("state"), "measured_state")
+        builder.ExportOutput(motion_capture.GetOutputPort("position"), "position")
         for name in COMMANDS:
             builder.ExportOutput(commander.GetOutputPort(name), name)
         builder.ExportOutput(controller.GetOutputPort(actuation), actuation)

@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
-from sgvf_drake.metrics import default_duration, follow_metrics, grid_starts
+from sgvf_drake.metrics import (
+    default_duration,
+    follow_metrics,
+    grid_starts,
+    least_separation,
+)
 from sgvf_drake.paths import Piece, ReferencePath, make_shape, shape_path
 
 CLOUD, CIRCLE = make_shape("circle")  # radius 3, U = 0.75
@@ -462,3 +467,19 @@ def test_bad_input_is_refused():
     for n, dim, match in ((0, 2, "at least 1"), (4, 3, "corners")):
         with pytest.raises(ConfigurationError, match=match):
             grid_starts(BOX, n, dim)
+
+
+def test_the_nearest_two_are_told_at_each_time():
+    """Three on a line that move apart, and a fourth that passes between two of them."""
+    times = times_for(1.0)
+    x = np.stack([np.zeros_like(times), 1.0 + times, 3.0 + times, 0.5 + 2.0 * times], axis=1)
+    positions = np.stack([x, np.zeros_like(x)], axis=2)
+    expected = np.minimum(0.5 + 2.0 * times, np.abs(0.5 - times))
+    np.testing.assert_allclose(least_separation(positions), expected)
+
+
+def test_one_agent_alone_has_no_separation():
+    with pytest.raises(ConfigurationError, match="n >= 2"):
+        least_separation(np.zeros((5, 1, 2)))
+    with pytest.raises(NonFiniteValueError, match="not finite"):
+        least_separation(np.full((5, 2, 2), np.nan))

@@ -49,6 +49,7 @@ from systems import (
     MotionCapture,
     MultibodyQuadrotor,
     MultibodyQuadrotorSdf,
+    Pace,
     PlanarVehicle,
     PlanarVehicleInWind,
     PlanarVehicleParameters,
@@ -58,6 +59,7 @@ from systems import (
     RouteNavigator,
     Se3Controller,
     SensorParameters,
+    SpacingController,
     StateEstimator,
 )
 from systems.branch_supervisor import DEFAULT_HOLD_AFTER
@@ -191,7 +193,8 @@ CASES = {
     "GuidanceSystem": Case(
         lambda field: GuidanceSystem(field, 0.3, 1.4, False, 3.9),
         "field",
-        MOTION,
+        # Less than the parameter, so that it has an effect.
+        {**MOTION, "speed": np.array([0.25])},
         # The field is about 0.1 m wide, which 0.9 m/s widens and 0.3 m/s does not.
         {"Speed": 0.9, "Altitude": 1.2, "ApproachLength": 0.5},
         # Without feed-forward.
@@ -310,6 +313,17 @@ CASES = {
         {"positions": np.array([0.8, 0.0, 1.0, 0.0, 1.0, 0.4, 0.0, 1.0])},
         {},
         np.array([0.0, 1.0, 0.7, 1.1, 0.0, 0.0]),
+        counts=False,
+    ),
+    "SpacingController": Case(
+        lambda _: SpacingController(
+            RINGS[0], 2, Pace(0.4, 0.3, 0.6, 0.05), [1.0, 2.0], 0.2, 0.02
+        ),
+        "nothing",
+        # A little farther than the state, the first over the end of the lap.
+        {"position_0": np.array([3.4, 3.02, 1.0]), "position_1": np.array([3.0, 3.4, 1.0])},
+        {"Pace": Pace(0.5, 0.2, 0.7, 0.06), "Shares": (0.4, 0.6)},
+        np.array([2.46, 0.55, 0.4, 0.4]),
         counts=False,
     ),
 }
