@@ -1,4 +1,4 @@
-"""The errors that this library raises on purpose, as one small tree.
+"""The errors that this library raises on purpose, as one small tree, and its warnings.
 
 Catch `SgvfError` to catch all of them.  Each one is also the built-in error that a
 reader would expect, so ``except ValueError`` and ``except FileExistsError`` work too.
@@ -31,3 +31,7 @@ class NonFiniteValueError(SgvfError, ArithmeticError):
 
 class ExperimentError(SgvfError):
     """Trials of an experiment failed; the others ran, and what they measured is stored."""
+
+
+class InertiaWarning(UserWarning):
+    """No rigid body has the inertia that was given; the nearest one is used."""

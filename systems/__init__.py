@@ -21,6 +21,7 @@ from systems.diagrams import (
 from systems.disturbances import Disturbance, DisturbedQuadrotor
 from systems.guidance import FieldForSpeed, GuidanceSystem, GuidanceSystem_
 from systems.guidance_loop import AddGuidance, GuidanceLoop
+from systems.heading import HeadingSystem, HeadingSystem_
 from systems.kinematic import (
     KinematicGuidance,
     KinematicGuidance_,
@@ -41,6 +42,14 @@ from systems.moving_scene import (
     AddQuadrotorGeometry,
     FlightTrail,
     QuadrotorGeometry,
+)
+from systems.multibody import (
+    AddMultibodyQuadrotor,
+    FloatingBodyState,
+    FloatingBodyState_,
+    MultibodyQuadrotor,
+    MultibodyQuadrotorSdf,
+    QuadrotorInPlant,
 )
 from systems.navigation import RouteNavigator, RouteNavigator_
 from systems.quadrotor import QuadrotorParameters
@@ -72,6 +81,7 @@ __all__ = [
     "AddFlightVisualization",
     "AddGuidance",
     "AddLyapunovMonitor",
+    "AddMultibodyQuadrotor",
     "AddQuadrotorGeometry",
     "Body",
     "Branch",
@@ -90,10 +100,14 @@ __all__ = [
     "FieldForSpeed",
     "FlightTrail",
     "FlightVisualization",
+    "FloatingBodyState",
+    "FloatingBodyState_",
     "Gains",
     "GuidanceLoop",
     "GuidanceSystem",
     "GuidanceSystem_",
+    "HeadingSystem",
+    "HeadingSystem_",
     "IdealMotionCapture",
     "KinematicGuidance",
     "KinematicGuidance_",
@@ -106,7 +120,10 @@ __all__ = [
     "MakeSimulator",
     "Mode",
     "MotionCapture",
+    "MultibodyQuadrotor",
+    "MultibodyQuadrotorSdf",
     "QuadrotorGeometry",
+    "QuadrotorInPlant",
     "QuadrotorParameters",
     "RouteNavigator",
     "RouteNavigator_",

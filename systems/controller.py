@@ -39,6 +39,8 @@ DEFAULT_GAINS = Gains(
 at 18 (at 15 with a damping ratio of 1); a velocity gain above a quarter of the bandwidth, or a
 damping ratio of 1, makes the turn-in at 4 m/s oscillate."""
 
+HEADING = Gains._fields.index("heading")
+"""Its place among the numeric parameters."""
 
 DISTURBANCE_BANDWIDTH = 6.0
 """rad/s, of the estimate of what disturbs a vehicle: half of that of the attitude that answers.
@@ -57,6 +59,8 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
             - state
             - velocity_command
             - acceleration_feedforward
+            - heading
+            - predicted_velocity
             output_ports:
             - propeller_force
             - acceleration
@@ -64,6 +68,9 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
         `state` (12) is QuadrotorPlant's, in metres, radians and seconds; z is up.
 
         `velocity_command` (3) in m/s and `acceleration_feedforward` (3) in m/s^2 are in W.
+
+        `heading` (1), the desired yaw in rad, takes the place of that of the gains; it may stay
+        unconnected.  A vehicle turns to it from any yaw (see `systems.se3_law.LimitHeading`).
 
         `propeller_force` (4) is QuadrotorPlant's input: forces in N over the plant's
         force constant kF, which is 1 by default.  Each force is in
@@ -74,17 +81,17 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
         `StateEstimator`.
 
         With a disturbance bandwidth L the controller makes up for what else accelerates the
-        vehicle: wind, or a mass other than is believed.  A continuous state z (3) in m/s is the
-        velocity that its motion so far predicts, z' = a + d with the acceleration a above and
-        the estimate d = L (v - z), so that d follows the truth as a low-pass filter of L does
-        (a momentum observer: A. De Luca et al., IROS 2006).  The law then demands d less, and
-        `acceleration` includes it.  It is integral action that does not wind up where the
-        forces are limited; see `SetVelocity` for the start.
+        vehicle: wind, or a mass other than is believed.  It then has the input
+        `predicted_velocity` z (3) in m/s, which an Integrator makes of `acceleration`:
+        z' = a + d with the acceleration a above and the estimate d = L (v - z), so that d
+        follows the truth as a low-pass filter of L does (a momentum observer: A. De Luca et
+        al., IROS 2006).  The law demands d less, and `acceleration` includes it.  It is
+        integral action that does not wind up where the forces are limited.
 
         The law is that of Lee, Leok and McClamroch 2010 (see `systems.se3_law`), with a
-        velocity command in place of a trajectory and the heading held fixed.  The numeric
-        parameters are the `Gains` (index `gains_index`, see `SetGains`) and the `Body`, the
-        mass and inertia that the controller believes (index `body_index`, see `SetBody`).
+        velocity command in place of a trajectory and the heading taken to be fixed.  The
+        numeric parameters are the `Gains` (index `gains_index`, see `SetGains`) and the `Body`,
+        the mass and inertia that the controller believes (index `body_index`, see `SetBody`).
         Both outputs are direct feed-through.
 
         Args:
@@ -116,16 +123,15 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
             self._acceleration_feedforward = self.DeclareVectorInputPort(
                 "acceleration_feedforward", 3
             )
+            self._heading = self.DeclareVectorInputPort("heading", 1)
             self.gains_index = self.DeclareNumericParameter(BasicVector_[T](list(gains)))
             self._undisturbed = ToVector(T, [0.0, 0.0, 0.0])
-            self._observes = ToFloat(gains.disturbance_bandwidth) > 0.0
-            if self._observes:
-                self.DeclareContinuousState(3)
+            self._predicted_velocity: Any = None
+            if ToFloat(gains.disturbance_bandwidth) > 0.0:
+                self._predicted_velocity = self.DeclareVectorInputPort("predicted_velocity", 3)
             body = [self._parameters.mass, *self._parameters.inertia]
             self.body_index = self.DeclareNumericParameter(BasicVector_[T](body))
             sources = {self.all_input_ports_ticket(), self.all_parameters_ticket()}
-            if self._observes:
-                sources.add(self.xc_ticket())
             self._propeller_force = self.DeclareVectorOutputPort(
                 "propeller_force", NUM_PROPELLERS, self._CalcPropellerForce, sources
             )
@@ -152,7 +158,7 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
             To change one: ``SetGains(context, GetGains(context)._replace(heading=0.5))``.
             """
             _CheckGains(gains)
-            if ToFloat(gains.disturbance_bandwidth) > 0.0 and not self._observes:
+            if gains.disturbance_bandwidth > 0.0 and self._predicted_velocity is None:
                 raise ConfigurationError(
                     "this controller was made without a disturbance_bandwidth, to estimate none"
                 )
@@ -175,33 +181,24 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
                 ToVector(T, body)
             )
 
-        def SetVelocity(self, context: Any, velocity: Any) -> None:
-            """Sets the velocity (3,) in m/s at which nothing is known of a disturbance.
-
-            This system's own Context is wanted; without a disturbance bandwidth it changes
-            nothing.
-            """
-            if self._observes:
-                context.SetContinuousState(ToVector(T, velocity))
-
-        def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
-            """Moves the predicted velocity."""
-            if self._observes:
-                derivatives.get_mutable_vector().SetFromVector(self._acceleration.Eval(context))
-
         def _CalcDisturbance(self, context: Any) -> np.ndarray:
             """Returns what disturbs the vehicle, (3,) in m/s^2 in W."""
+            if self._predicted_velocity is None:
+                return self._undisturbed
             bandwidth = context.get_numeric_parameter(self.gains_index).GetAtIndex(4)
-            predicted = context.get_continuous_state_vector().CopyToVector()
+            predicted = self._predicted_velocity.Eval(context)
             return bandwidth * (self._state.Eval(context)[VELOCITY] - predicted)
 
         def _CalcPropellerForce(self, context: Any, output: Any) -> None:
+            gains = context.get_numeric_parameter(self.gains_index).CopyToVector()
+            if self._heading.HasValue(context):
+                gains[HEADING] = self._heading.Eval(context)[0]
             arguments = (
                 self._state.Eval(context),
                 self._velocity_command.Eval(context),
                 self._acceleration_feedforward.Eval(context),
-                self._CalcDisturbance(context) if self._observes else self._undisturbed,
-                context.get_numeric_parameter(self.gains_index).CopyToVector(),
+                self._CalcDisturbance(context),
+                gains,
                 context.get_numeric_parameter(self.body_index).CopyToVector(),
                 self._parameters.rotors,
                 self._parameters.gravity,
@@ -228,13 +225,14 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
             lift = thrust / self._parameters.mass
             x, y, z = R_WB[2]
             acceleration = np.array([lift * x, lift * y, lift * z - self._parameters.gravity])
-            if self._observes:
-                acceleration = acceleration + self._CalcDisturbance(context)
-            output.SetFromVector(acceleration)
+            output.SetFromVector(acceleration + self._CalcDisturbance(context))
 
         def _CheckInputs(self, context: Any) -> None:
             for port in (self._state, self._velocity_command, self._acceleration_feedforward):
                 CheckFinite(self, context, port, ToList(port.Eval(context)))
+            if self._heading.HasValue(context):
+                heading = self._heading.Eval(context)
+                CheckFinite(self, context, self._heading, ToList(heading))
             _CheckGains(self.GetGains(context))
             _CheckBody(self.GetBody(context))
 

@@ -70,7 +70,7 @@ def MakeFlightDiagram(
         meshcat: Shows the flight; see `AddFlightVisualization`.  The diagram can then not be
             converted to AutoDiffXd.
         **guidance: `speed`, `altitude`, `sample_period`, `feedforward`, `saturate`, `gains`,
-            `sensors` and `supervisor` as in `AddGuidance`.
+            `sensors`, `supervisor` and `heading` as in `AddGuidance`.
 
     Raises:
         ConfigurationError: if an argument cannot be used.
@@ -163,11 +163,10 @@ def SetVehicleState(
         raise NonFiniteValueError(f"the vehicle's state must be finite: {values.tolist()}")
     found = _FindLoop(diagram, loop)
     plant: Any = _FindPlant(diagram, found)
-    own = plant.GetMyMutableContextFromRoot(context)
-    if isinstance(plant, DisturbedQuadrotor):
-        plant.SetVectorState(own, values)
+    if hasattr(plant, "SetVehicleState"):
+        plant.SetVehicleState(context, values)
     else:
-        own.SetContinuousState(values)
+        plant.GetMyMutableContextFromRoot(context).SetContinuousState(values)
     found.SetVectorState(found.GetMyMutableContextFromRoot(context), values)
 
 

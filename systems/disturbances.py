@@ -143,11 +143,11 @@ class DisturbedQuadrotor(Diagram):
             force = self._motors.get_output_port()
         builder.Connect(force, self._quadrotor.get_input_port())
 
-    def SetVectorState(self, context: Context, state: Any) -> None:
+    def SetVehicleState(self, root_context: Context, state: Any) -> None:
         """Sets the state of the vehicle; its propellers carry its weight.
 
         Args:
-            context: This system's own.
+            root_context: Of the whole diagram.
             state: The state (12,), as QuadrotorPlant's.
         """
         values = [(self._quadrotor, state), (self._drift, np.zeros(6))]
@@ -155,7 +155,7 @@ class DisturbedQuadrotor(Diagram):
             hover = self._body.hover_force / self._body.force_constant
             values.append((self._motors, np.full(NUM_PROPELLERS, hover)))
         for system, value in values:
-            self.GetMutableSubsystemContext(system, context).SetContinuousState(value)
+            system.GetMyMutableContextFromRoot(root_context).SetContinuousState(value)
 
 
 def _MakeDrift(rate: float) -> LinearSystem:

@@ -4,12 +4,14 @@ from typing import Any
 
 from pydrake.examples import QuadrotorPlant
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPort, System
+from pydrake.systems.primitives import Integrator
 
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields.base import Field, SteerableField
 from systems.controller import DEFAULT_GAINS, Se3Controller
 from systems.guidance import DEFAULT_ALTITUDE, DEFAULT_SPEED, GuidanceSystem
-from systems.quadrotor import VELOCITY, QuadrotorParameters
+from systems.multibody import MultibodyQuadrotor, QuadrotorInPlant
+from systems.quadrotor import ATTITUDE, VELOCITY, QuadrotorParameters
 from systems.se3_law import Gains
 from systems.sensing import (
     DEFAULT_SAMPLE_PERIOD,
@@ -36,6 +38,7 @@ class GuidanceLoop(Diagram):
         name: GuidanceLoop
         input_ports:
         - state
+        - heading
         output_ports:
         - measured_state
         - velocity_command
@@ -47,7 +50,7 @@ class GuidanceLoop(Diagram):
     m/s^2 in W are what the controller is given.  What else a supervisor tells is an output too:
     `mode`, `branch`, and on a directed field `edge` and `arc`.  What may stay unconnected is an
     input: `next_edge` of a supervisor and, without sensors, its `measurement_age`; without a
-    supervisor `intended_direction` of guidance.
+    supervisor `intended_direction` of guidance; and `heading` of a controller that has one.
 
     The systems inside have the names of the attributes.  Everything but the motion capture is
     direct feed-through.  What Drake converts or clones is a plain Diagram of the same systems.
@@ -57,6 +60,7 @@ class GuidanceLoop(Diagram):
         controller: The `Se3Controller`.
         motion_capture: The `IdealMotionCapture`, or with sensors the `MotionCapture`.
         supervisor: The `BranchSupervisor`, or None.
+        heading: The `HeadingSystem`, or None.
 
     Args:
         guidance: A system with input ports `position` (3) and `velocity` (3), and output
@@ -65,17 +69,26 @@ class GuidanceLoop(Diagram):
             `propeller_force` (4).
         motion_capture: An `IdealMotionCapture` or a `MotionCapture`.
         supervisor: A `BranchSupervisor`, or None.
+        heading: A `HeadingSystem`, for a controller with an input `heading` (1), or None.
 
     Raises:
         ConfigurationError: if a port is missing.
     """
 
     def __init__(
-        self, guidance: System, controller: System, motion_capture: Any, supervisor: Any = None
+        self,
+        guidance: System,
+        controller: System,
+        motion_capture: Any,
+        supervisor: Any = None,
+        heading: Any = None,
     ) -> None:
         super().__init__()
         asked = COMMANDS if supervisor is None else (*COMMANDS, "speed")
         _CheckPorts(guidance, "guidance", MOTION, asked)
+        if heading is not None:
+            _CheckPorts(heading, "heading", ("position", "velocity_command"), ("heading",))
+            _CheckPorts(controller, "a controller that is told a heading", ("heading",), ())
         builder = DiagramBuilder()
         self.guidance: Any = builder.AddNamedSystem("guidance", guidance)
         self.controller: Any = builder.AddNamedSystem("controller", controller)
@@ -85,16 +98,26 @@ class GuidanceLoop(Diagram):
         _Connect(builder, motion_capture, controller, "state")
         if motion_capture.HasInputPort("acceleration"):
             _Connect(builder, controller, motion_capture, "acceleration")
+        self._predictor: Any = None
+        if controller.HasInputPort("predicted_velocity"):
+            self._AddPredictor(builder)
         commander = guidance
         if supervisor is not None:
             commander = self.supervisor = builder.AddNamedSystem("supervisor", supervisor)
             self._ConnectSupervisor(builder)
         _Connect(builder, commander, controller, *COMMANDS)
+        self.heading: Any = None
+        if heading is not None:
+            self.heading = builder.AddNamedSystem("heading", heading)
+            _Connect(builder, motion_capture, heading, "position")
+            _Connect(builder, commander, heading, "velocity_command")
+            _Connect(builder, heading, controller, "heading")
         builder.ExportInput(motion_capture.GetInputPort("state"), "state")
         for system, name in (
             (guidance, "intended_direction"),
             (supervisor, "next_edge"),
             (supervisor, "measurement_age"),
+            (controller, "heading"),
         ):
             if system is not None and system.HasInputPort(name):
                 port = system.GetInputPort(name)
@@ -109,6 +132,14 @@ class GuidanceLoop(Diagram):
                 builder.ExportOutput(supervisor.GetOutputPort(name), name)
         builder.BuildInto(self)
 
+    def _AddPredictor(self, builder: DiagramBuilder) -> None:
+        controller = self.controller
+        predictor = self._predictor = builder.AddNamedSystem("predictor", Integrator(3))
+        builder.Connect(controller.GetOutputPort("acceleration"), predictor.get_input_port())
+        builder.Connect(
+            predictor.get_output_port(), controller.GetInputPort("predicted_velocity")
+        )
+
     def _ConnectSupervisor(self, builder: DiagramBuilder) -> None:
         capture, guidance, supervisor = self.motion_capture, self.guidance, self.supervisor
         _Connect(builder, capture, supervisor, *MOTION)
@@ -120,16 +151,20 @@ class GuidanceLoop(Diagram):
             _Connect(builder, capture, supervisor, "measurement_age")
 
     def SetVectorState(self, context: Context, state: Any) -> None:
-        """Makes the motion capture, and the controller, have seen a state.
+        """Makes the motion capture, and what predicts the velocity, have seen a state.
 
         Args:
             context: This system's own.
             state: The state (12,), as QuadrotorPlant's.
         """
-        capture, controller = self.motion_capture, self.controller
+        capture, predictor = self.motion_capture, self._predictor
         capture.SetVectorState(self.GetMutableSubsystemContext(capture, context), state)
-        own = self.GetMutableSubsystemContext(controller, context)
-        controller.SetVelocity(own, state[VELOCITY])
+        if predictor is not None:
+            own = self.GetMutableSubsystemContext(predictor, context)
+            predictor.set_integral_value(own, state[VELOCITY])
+        if self.heading is not None:
+            own = self.GetMutableSubsystemContext(self.heading, context)
+            self.heading.SetHeading(own, state[ATTITUDE][2])
 
 
 def AddGuidance(
@@ -147,6 +182,7 @@ def AddGuidance(
     gains: Gains = DEFAULT_GAINS,
     sensors: SensorParameters | None = None,
     supervisor: Any = None,
+    heading: Any = None,
     measured_port: OutputPort | None = None,
 ) -> GuidanceLoop:
     """Makes a vehicle in a diagram follow a guiding vector field.
@@ -161,7 +197,8 @@ def AddGuidance(
         plant: A QuadrotorPlant, or a system with its ports: input `propeller_force` (4)
             and output `state` (12).
         parameters: The vehicle.  By default those of the plant, if it is a QuadrotorPlant,
-            with the paper's thrust-to-weight ratio.
+            with the paper's thrust-to-weight ratio, and those that a `QuadrotorInPlant` or a
+            `MultibodyQuadrotor` has.
         name: The name of the loop in the builder.
         speed: In m/s, at which a field is followed.
         altitude: In m; only for a field of dimension 2.
@@ -172,6 +209,8 @@ def AddGuidance(
         gains: As in `Se3Controller`.
         sensors: Noise, delay and rates of the measurements; None: the ideal motion capture.
         supervisor: A `BranchSupervisor` for the same field, which is added.
+        heading: A `HeadingSystem`, which is added: where the vehicle looks; None: where the
+            gains say.
         measured_port: The state that is measured; by default that of the plant.  This is
             where a `Dropout` comes in.
 
@@ -183,21 +222,29 @@ def AddGuidance(
     """
     _CheckPlace(builder, plant, name)
     if parameters is None:
-        if not isinstance(plant, QuadrotorPlant):
-            raise ConfigurationError(
-                "parameters must be given for a plant that is not a QuadrotorPlant"
-            )
-        parameters = QuadrotorParameters.FromPlant(plant)
+        parameters = _ReadParameters(plant)
     guide: Any = guidance
     if not isinstance(guidance, System):
         guide = GuidanceSystem(guidance, speed, altitude, feedforward)
     capture = IdealMotionCapture(sample_period) if sensors is None else MotionCapture(sensors)
     controller = Se3Controller(parameters, gains, saturate)
-    loop = GuidanceLoop(guide, controller, capture, supervisor)
+    loop = GuidanceLoop(guide, controller, capture, supervisor, heading)
     builder.AddNamedSystem(name, loop)
     builder.Connect(measured_port or plant.GetOutputPort("state"), loop.GetInputPort("state"))
     _Connect(builder, loop, plant, "propeller_force")
     return loop
+
+
+def _ReadParameters(plant: Any) -> QuadrotorParameters:
+    """Returns the parameters of a plant that knows its own."""
+    if isinstance(plant, QuadrotorPlant):
+        return QuadrotorParameters.FromPlant(plant)
+    if isinstance(plant, (QuadrotorInPlant, MultibodyQuadrotor)):
+        return plant.parameters
+    raise ConfigurationError(
+        "parameters must be given for a plant that is not a QuadrotorPlant or of a "
+        "MultibodyPlant"
+    )
 
 
 def _CheckPlace(builder: DiagramBuilder, plant: System, name: str) -> None:

@@ -1,5 +1,6 @@
 """What moves in a picture of a flight: the vehicle, and the way that it has flown."""
 
+from collections.abc import Iterator
 import math
 from typing import Any
 
@@ -17,7 +18,6 @@ from pydrake.geometry import (
     Rgba,
     SceneGraph,
     Shape,
-    SourceId,
 )
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.framework import (
@@ -152,32 +152,31 @@ def AddQuadrotorGeometry(
     CheckPositiveParameter("scale", scale)
     source_id = scene_graph.RegisterSource(name)
     frame_id = scene_graph.RegisterFrame(source_id, GeometryFrame(name))
-    _RegisterShapes(scene_graph, source_id, frame_id, scale * parameters.arm_length)
+    for shape_name, shape, X_BG, color in QuadrotorShapes(scale * parameters.arm_length):
+        instance = GeometryInstance(X_BG, shape, shape_name)
+        instance.set_illustration_properties(MakePhongIllustrationProperties(color.rgba))
+        scene_graph.RegisterGeometry(source_id, frame_id, instance)
     geometry: Any = builder.AddNamedSystem(f"{name}_geometry", QuadrotorGeometry(frame_id))
     builder.Connect(state_port, geometry.get_input_port())
     builder.Connect(geometry.get_output_port(), scene_graph.get_source_pose_port(source_id))
     return geometry
 
 
-def _RegisterShapes(
-    scene_graph: SceneGraph, source_id: SourceId, frame_id: FrameId, L: float
-) -> None:
-    """Gives the frame its shapes, for an arm length L in m."""
+def QuadrotorShapes(L: float) -> Iterator[tuple[str, Shape, RigidTransform, Rgba]]:
+    """Yields name, shape, pose X_BG and colour of what is seen of a quadrotor.
 
-    def Register(name: str, shape: Shape, X_BG: RigidTransform, color: Rgba) -> None:
-        instance = GeometryInstance(X_BG, shape, name)
-        instance.set_illustration_properties(MakePhongIllustrationProperties(color.rgba))
-        scene_graph.RegisterGeometry(source_id, frame_id, instance)
-
+    Args:
+        L: The arm length in m.
+    """
     x, y, z = (L * size for size in BODY_SIZE)
-    Register("body", Box(x, y, z), RigidTransform(), BODY_COLOR)
+    yield "body", Box(x, y, z), RigidTransform(), BODY_COLOR
     for axis, rpy in (("x", (0.0, math.pi / 2, 0.0)), ("y", (math.pi / 2, 0.0, 0.0))):
         X_BG = RigidTransform(RollPitchYaw(*rpy).ToRotationMatrix())
-        Register(f"arm_{axis}", Cylinder(ARM_RADIUS * L, 2.0 * L), X_BG, BODY_COLOR)
+        yield f"arm_{axis}", Cylinder(ARM_RADIUS * L, 2.0 * L), X_BG, BODY_COLOR
     for number in range(NUM_PROPELLERS):
         angle = 2.0 * math.pi * number / NUM_PROPELLERS
         p_BG: Any = [L * math.cos(angle), L * math.sin(angle), PROPELLER_HEIGHT * L]
-        Register(
+        yield (
             f"propeller_{number}",
             Cylinder(PROPELLER_RADIUS * L, PROPELLER_THICKNESS * L),
             RigidTransform(p_BG),

@@ -4,12 +4,13 @@ from dataclasses import dataclass
 from functools import cached_property
 import math
 from typing import Any, NamedTuple
+import warnings
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.examples import QuadrotorPlant
 
-from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.exceptions import ConfigurationError, InertiaWarning
 from systems.scalars import CheckPositiveParameter
 
 STATE_SIZE = 12
@@ -18,6 +19,9 @@ POSITION, ATTITUDE, VELOCITY, RATES = slice(0, 3), slice(3, 6), slice(6, 9), sli
 roll-pitch-yaw in rad/s, which are not the body's angular velocity."""
 
 NUM_PROPELLERS = 4
+
+INERTIA_ROUNDING = 1e-9
+"""Relative; a flat plate misses the triangle inequality by its rounding."""
 
 
 class Rotors(NamedTuple):
@@ -49,15 +53,19 @@ class QuadrotorParameters:
             diagonal is 0.149 m.
         thrust_to_weight: Greatest total thrust over the weight (paper, experiments).
         inertia: Principal moments of inertia (I_xx, I_yy, I_zz) in kg m^2.  Not
-            published; estimated from a box body with four motors of 25 g.
+            published; estimated from a box body with four motors of 25 g.  Some that are
+            published are those of no rigid body; then the nearest ones that are, are used.
         force_constant: kF, newtons per unit of input; 1 makes the inputs newtons.
         moment_constant: kM, newton metres of yaw torque per unit of input; with kF = 1
             it is a length in m.
         gravity: The acceleration of gravity, m/s^2.
 
     Raises:
-        ConfigurationError: if a value is not finite and positive, if the vehicle cannot
-            lift its weight, or if no rigid body has this inertia.
+        ConfigurationError: if a value is not finite and positive, or if the vehicle cannot
+            lift its weight.
+
+    Warns:
+        InertiaWarning: if no rigid body has this inertia.
     """
 
     mass: float = 0.46
@@ -76,7 +84,18 @@ class QuadrotorParameters:
             raise ConfigurationError(
                 f"thrust_to_weight must be greater than 1 to fly, got {self.thrust_to_weight}"
             )
-        _RequireInertia(self.inertia)
+        _CheckInertia(self.inertia)
+        possible = NearestInertia(self.inertia)
+        if possible != self.inertia:
+            smallest, middle, largest = sorted(self.inertia)
+            warnings.warn(
+                f"no rigid body has the inertia {self.inertia} kg m^2: {largest:g} is more "
+                f"than the sum of the others by {largest - smallest - middle:.3g}; the nearest "
+                f"that one has is used, ({', '.join(f'{moment:.4g}' for moment in possible)})",
+                InertiaWarning,
+                stacklevel=3,
+            )
+            object.__setattr__(self, "inertia", possible)
 
     @classmethod
     def FromPlant(
@@ -162,13 +181,27 @@ class QuadrotorParameters:
         return plant
 
 
-def _RequireInertia(inertia: tuple[float, float, float]) -> None:
+def NearestInertia(inertia: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Returns the moments nearest to these that a rigid body can have.
+
+    None is more than the sum of the other two.  Where one is, by d, a third of d comes off it
+    and goes to each of the others: the projection on that plane, on the positive side of the
+    other two.
+
+    Args:
+        inertia: Positive principal moments of inertia in kg m^2.
+    """
+    smallest, middle, largest = np.argsort(inertia).tolist()
+    excess = inertia[largest] - inertia[middle] - inertia[smallest]
+    if excess <= INERTIA_ROUNDING * inertia[largest]:
+        return inertia
+    moved = [moment + excess / 3.0 for moment in inertia]
+    moved[largest] = moved[smallest] + moved[middle]
+    return moved[0], moved[1], moved[2]
+
+
+def _CheckInertia(inertia: tuple[float, float, float]) -> None:
     if len(inertia) != 3:
         raise ConfigurationError(f"inertia must have 3 values, got {len(inertia)}")
     for moment in inertia:
         CheckPositiveParameter("inertia", moment)
-    smallest, middle, largest = sorted(inertia)
-    if smallest + middle < largest:
-        raise ConfigurationError(
-            f"inertia {inertia} violates the triangle inequality: no rigid body has it"
-        )

@@ -1,6 +1,7 @@
 """The commands that try a field out: follow, fly, and demo, which trains one before."""
 
 import logging
+import math
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -124,6 +125,13 @@ def fly(
             help="Fly over every edge where paths cross or branch, as without an option.",
         ),
     ] = False,
+    heading: Annotated[
+        str | None,
+        typer.Option(
+            help="Where the quadrotor looks: path, along it; X,Y, towards that point in the "
+            "unit of the waypoints; or a fixed yaw in degrees  \\[default: 0]."
+        ),
+    ] = None,
     sensors: Annotated[
         bool, typer.Option("--sensors", help="Measure with noise and delay, at 100 Hz.")
     ] = False,
@@ -187,6 +195,7 @@ def fly(
         )
     loaded = open_field(field)
     directed = isinstance(loaded, DirectedField)
+    yaw, looks = _heading_of(heading, scale)
     spec = FlightSpec(
         speed=speed,
         laps=laps if laps is not None else 1.0 if directed or tour else 2.0,
@@ -194,8 +203,9 @@ def fly(
         sensors=SensorParameters() if sensors else None,
         disturbance=_disturbance_of(wind, gust),
         gains=DEFAULT_GAINS._replace(
-            disturbance_bandwidth=DISTURBANCE_BANDWIDTH if compensate else 0.0
+            heading=yaw, disturbance_bandwidth=DISTURBANCE_BANDWIDTH if compensate else 0.0
         ),
+        heading=looks,
         seed=seed,
     )
     # Drake tells on its own where every Meshcat listens.
@@ -277,6 +287,23 @@ def _disturbance_of(wind: str | None, gust: float) -> Any:
     if len(air) not in (2, 3):
         raise ConfigurationError(f"--wind {wind} is no velocity, as 2,0 or 2,0,0.5 is")
     return Disturbance(wind=(air[0], air[1], air[2] if len(air) == 3 else 0.0), gust=gust)
+
+
+def _heading_of(heading: str | None, scale: float) -> tuple[float, Any]:
+    """Reads --heading: a fixed yaw in rad, and what is looked at in its place, or None."""
+    if heading in (None, "path"):
+        return 0.0, heading
+    try:
+        numbers = [float(number) for number in heading.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in (1, 2) or not all(map(math.isfinite, numbers)):
+        raise ConfigurationError(
+            f"--heading {heading} is none, as path, 90 or the point 3.5,-2 is"
+        )
+    if len(numbers) == 1:
+        return math.radians(numbers[0]), None
+    return 0.0, (scale * numbers[0], scale * numbers[1])
 
 
 def _pieces_of(tour: str) -> list[int]:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 import time
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -27,6 +27,7 @@ from systems import (
     Disturbance,
     FieldForSpeed,
     Gains,
+    HeadingSystem,
     MakeFlightDiagram,
     MakeSimulator,
     QuadrotorParameters,
@@ -78,6 +79,8 @@ class FlightSpec:
         sensors: Noise, delay and rates of the measurements; None: they are ideal.
         disturbance: Wind, drag, motor lag and what else is not as believed; None: nothing is.
         gains: Gains of the controller; with a disturbance bandwidth it makes up for that.
+        heading: Where the vehicle looks: "path", along its path, or the point (x, y) in m
+            towards which it looks; None: where the gains say.
         seed: Seed of the noise of the sensors and of the gusts.
         start: Position p_WB (x, y, z) of the hover that the flight starts from, m; None:
             beside the path, see `hover_start`.
@@ -94,6 +97,7 @@ class FlightSpec:
     sensors: SensorParameters | None = None
     disturbance: Disturbance | None = None
     gains: Gains = DEFAULT_GAINS
+    heading: Literal["path"] | tuple[float, float] | None = None
     seed: int = 0
     start: tuple[float, ...] | None = None
     duration: float | None = None
@@ -326,6 +330,7 @@ def simulate(
         disturbance=spec.disturbance,
         gains=spec.gains,
         supervisor=supervisor,
+        heading=None if spec.heading is None else _heading_system(spec.heading),
         lyapunov=lyapunov,
         level=level,
         meshcat=None if scene is None else scene.meshcat,
@@ -356,6 +361,10 @@ def simulate(
     log["cross_track_error"] = reference.project(positions_of(log, field.dim)).distance
     left = None if watch is None else watch.exit
     return SimulatedFlight(log, wall_s, over, left, feasibility)
+
+
+def _heading_system(heading: Literal["path"] | tuple[float, float]) -> Any:
+    return HeadingSystem(None if heading == "path" else heading)
 
 
 @contextmanager

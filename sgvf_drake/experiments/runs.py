@@ -340,6 +340,7 @@ def _flight_origin(
         "reference": reference,
         "sensors": sensors,
         "disturbance": disturbance,
+        "heading": spec.gains.heading if spec.heading is None else spec.heading,
         **origin(field),
     }
 

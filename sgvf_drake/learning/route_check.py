@@ -1,11 +1,12 @@
 """The first look at a directed field: is every edge followed, and every turn made?"""
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from sgvf_drake.arrays import BoolArray
 from sgvf_drake.fields import DirectedField, FloatArray
 from sgvf_drake.learning.self_check import (
     AROUND,
@@ -16,6 +17,8 @@ from sgvf_drake.learning.self_check import (
     PieceCheck,
     SelfCheck,
 )
+from sgvf_drake.passages import straight_on
+from sgvf_drake.paths import ReferencePath
 from sgvf_drake.paths.itinerary import Itinerary, successors
 from sgvf_drake.paths.navigator import Navigator
 
@@ -33,17 +36,22 @@ TOLERANCE = 1e-3
 class _Run:
     """An edge and one that can follow it: from the middle of the one to that of the other.
 
-    The first and the last edge of a path are driven whole.
+    The first and the last edge of a path are driven whole.  A run that is not steered goes
+    where its heading leads.
     """
 
     piece: int
     navigator: Navigator
     begin: float
     end: float
+    steered: bool
 
 
 def check_directed(field: DirectedField) -> SelfCheck:
-    """Drives over every edge and through every turn, and in from around every edge."""
+    """Drives over every edge and through every turn, and in from around every edge.
+
+    Crossings are driven straight over twice: steered, and as a robot without a route does.
+    """
     network = field.network
     runs = _runs(field)
     missed = _drive(field, runs)
@@ -51,16 +59,19 @@ def check_directed(field: DirectedField) -> SelfCheck:
     checks = []
     for piece in range(network.num_pieces):
         edges = [edge for edge in network.edges if edge.piece == piece]
-        own = [place for run, place in zip(runs, missed, strict=True) if run.piece == piece]
-        around = [place for number, place in strayed if number == piece]
-        faults = [Fault("skip", tuple(p.tolist())) for p in own if p is not None]
-        faults += [Fault("leave", tuple(p.tolist())) for p in around if p is not None]
+        own = [
+            ("skip" if run.steered else "turn", place)
+            for run, place in zip(runs, missed, strict=True)
+            if run.piece == piece
+        ]
+        own += [("leave", place) for number, place in strayed if number == piece]
+        faults = [Fault(kind, tuple(p.tolist())) for kind, p in own if p is not None]
         checks.append(
             PieceCheck(
                 length=sum(edge.length for edge in edges),
                 closed=network.kind(piece) == "closed path",
-                starts=len(own) + len(around),
-                completed=len(own) + len(around) - len(faults),
+                starts=len(own),
+                completed=len(own) - len(faults),
                 faults=tuple(faults),
             )
         )
@@ -71,6 +82,7 @@ def _runs(field: DirectedField) -> list[_Run]:
     network, sigma = field.network, field.memory_length
     following = successors(network)
     entered = Counter(after for numbers in following.values() for after in numbers)
+    ahead = straight_on(network)
     runs = []
     for number, numbers in following.items():
         for edges in [[number, after] for after in numbers] or [[number]]:
@@ -80,7 +92,10 @@ def _runs(field: DirectedField) -> list[_Run]:
             end = ends[-2:].mean() if following[edges[-1]] else ends[-1]
             navigator = Navigator(itinerary, sigma, step=STEP * sigma)
             piece = network.edges[abs(number) - 1].piece
-            runs.append(_Run(piece, navigator, float(begin), float(end)))
+            run = _Run(piece, navigator, float(begin), float(end), steered=True)
+            runs.append(run)
+            if edges[1:] == [ahead.get(number)]:
+                runs.append(replace(run, steered=False))
     return runs
 
 
@@ -97,9 +112,11 @@ def _drive(field: DirectedField, runs: list[_Run]) -> list[FloatArray | None]:
     way_in = WAY_IN * field.cloud.unit_length
     left = np.array([LENGTHS * (run.end - run.begin) for run in runs]) + way_in
     running = np.arange(len(runs))
+    steered = np.array([run.steered for run in runs])
     arrived = np.zeros(len(runs), bool)
     while len(running):
         target = np.concatenate([runs[k].navigator.direction(states[k]) for k in running])
+        target[~steered[running]] = np.nan
         x[running], h[running] = _moved(field, x[running], h[running], target, step)
         for k in running:
             states[k] = runs[k].navigator.advance(states[k], x[k : k + 1])
@@ -108,7 +125,19 @@ def _drive(field: DirectedField, runs: list[_Run]) -> list[FloatArray | None]:
             )
         left[running] -= step
         running = running[~arrived[running] & (left[running] > 0)]
+    arrived &= _on_last_edge(field, runs, x)
     return [None if done else place for done, place in zip(arrived, x, strict=True)]
+
+
+def _on_last_edge(field: DirectedField, runs: list[_Run], x: FloatArray) -> BoolArray:
+    """Whether no edge is nearer than the last one of a run, by more than a noise level."""
+    network = field.network
+    last = [network.edges[abs(run.navigator.itinerary.edges[-1]) - 1].line for run in runs]
+    own = [
+        ReferencePath((line,)).project(place[None]).distance[0]
+        for line, place in zip(last, x, strict=True)
+    ]
+    return np.array(own) <= network.path.project(x).distance + field.memory_length
 
 
 def _come_in(field: DirectedField) -> list[tuple[int, FloatArray | None]]:
@@ -120,7 +149,7 @@ def _come_in(field: DirectedField) -> list[tuple[int, FloatArray | None]]:
     away, heading = rng.normal(size=(2, *beside.shape))
     x = beside + AROUND * unit * away / np.linalg.norm(away, axis=1, keepdims=True)
     h = heading / np.linalg.norm(heading, axis=1, keepdims=True)
-    x, h = _moved(field, x, h, None, WAY_IN * unit)
+    x, h = _moved(field, x, h, np.full(x.shape, np.nan), WAY_IN * unit)
     off = field.network.path.project(x).distance > max(PASS_DISTANCE, field.sigma) * unit
     pieces = np.repeat([edge.piece for edge in edges], len(beside) // len(edges))
     return [
@@ -130,16 +159,16 @@ def _come_in(field: DirectedField) -> list[tuple[int, FloatArray | None]]:
 
 
 def _moved(
-    field: DirectedField, x: FloatArray, h: FloatArray, target: FloatArray | None, way: float
+    field: DirectedField, x: FloatArray, h: FloatArray, target: FloatArray, way: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Places and headings some way on, with headings that turn to a target or the tangent."""
-    motion = field.with_memory()
+    """Places and headings some way on; headings turn to a target, or where it is NaN ahead."""
+    motion, steered = field.with_memory(), np.isfinite(target)
 
     def derivative(_: float, y: FloatArray) -> FloatArray:
         y = y.reshape(len(x), -1)
         F = motion(y)
-        if target is not None:
-            F[:, field.dim :] = (target - y[:, field.dim :]) / motion.memory_length
+        turn = (target - y[:, field.dim :]) / motion.memory_length
+        F[:, field.dim :][steered] = turn[steered]
         return F.ravel()
 
     y = np.concatenate([x, h], axis=1)

@@ -46,7 +46,8 @@ class Fault:
     Attributes:
         kind: `stall` (it stops where the path goes on), `split` (a stretch of the path runs
             against the rest, between a source and a sink), `skip` (a part of the piece is
-            not visited) or `leave` (it does not come to a path, or leaves it).
+            not visited), `turn` (without a route it turns off where a path goes straight over
+            a crossing) or `leave` (it does not come to a path, or leaves it).
         point: Where, (d,) in the user's unit.
     """
 

@@ -17,10 +17,12 @@ import pandas as pd
 
 from sgvf_drake.clouds import PointCloud
 from sgvf_drake.experiments.follow import FollowResult, follow, follow_network
+from sgvf_drake.experiments.route import covering_routes, fly_route
 from sgvf_drake.fields import DirectedField, GuidingField
 from sgvf_drake.learning import TrainingConfig, TrainingResult, train
 from sgvf_drake.paths.itinerary import successors
 from sgvf_drake.paths.planning import covering
+from systems import SensorParameters
 from tests.networks import SHAPES, Array, Shape, topology
 
 Row = dict[str, Any]
@@ -33,6 +35,9 @@ STARTS, ROUTE_STARTS = 100, 25
 FRACTIONS = ("reach", "lap", "end", "stall", "leave", "straight", "turn")
 # What is told of those on a route, where there is one.
 LED = ("turn", "stall", "leave", "rms_U", "max_U")
+# Networks are flown so wide, in m; and what is told of a flight.
+WIDE = 12.0
+FLOWN = ("route_length_m", "route_completed", "turned_nodes", "turn_fraction", "speed_min_m_s")
 # Derivatives are taken at so many places, within this many noise levels of the paths; and so
 # many values are timed.
 PLACES, BAND, VALUES = 4_000, 3.0, 300
@@ -156,6 +161,28 @@ def angle(kind: str, degrees: float, seed: int) -> Row:
     return {"crossing": kind, "degrees": degrees, "seed": seed, "right": right, **row}
 
 
+def flown(name: str, recipe: str) -> Row:
+    """The quadrotor over every edge of a network, measured with noise and delay."""
+    field = train(cloud_of(name), TrainingConfig(recipe=recipe)).field
+    assert isinstance(field, DirectedField)
+    metric = field.rescaled(WIDE / np.ptp(field.cloud.points, axis=0).max())
+    route = max(covering_routes(metric.network), key=lambda route: route.length)
+    flight = fly_route(metric, route, sensors=SensorParameters())
+    unit, figures = metric.cloud.unit_length, flight.summary()
+    errors = ("cross_track_rms_m", "cross_track_max_m", "turn_error_max_m")
+    return {
+        "shape": Path(name).stem,
+        "recipe": recipe,
+        "sigma_m": metric.memory_length,
+        "unit_m": unit,
+        **{key: figures[key] for key in FLOWN},
+        **{
+            f"{key[:-2]}_U": None if figures[key] is None else figures[key] / unit
+            for key in errors
+        },
+    }
+
+
 def transformed(name: str, transform: str) -> Row:
     """One cloud in another proportion, unit and place."""
     points = cloud_of(name).points
@@ -190,6 +217,7 @@ def cases(table: str, options: argparse.Namespace) -> Iterator[tuple[Any, ...]]:
         "courses": itertools.product(courses, RECIPES),
         "networks": itertools.product(NETWORKS, RECIPES),
         "angles": itertools.product(("lines", "eight"), ANGLES, range(options.seeds)),
+        "flights": itertools.product(NETWORKS, RECIPES),
         "transformed": itertools.product(("eight", "streets"), TRANSFORMS),
         "demonstrations": itertools.product(motions(), options.recipes),
     }[table]
@@ -199,6 +227,7 @@ TABLES: dict[str, Callable[..., Row]] = {
     "courses": shape,
     "networks": shape,
     "angles": angle,
+    "flights": flown,
     "transformed": transformed,
     "demonstrations": demonstrations,
 }

@@ -72,7 +72,7 @@ def test_the_plant_moves_by_the_equations(lag):
     log = LogVectorOutput(plant.GetOutputPort("state"), builder, 0.1)
     simulator = MakeSimulator(builder.Build(), step=1e-3)
     context = simulator.get_mutable_context()
-    plant.SetVectorState(plant.GetMyMutableContextFromRoot(context), STATE)
+    plant.SetVehicleState(context, STATE)
     simulator.AdvanceTo(0.5)
 
     body = disturbance.BodyOf(PARAMETERS)

@@ -16,6 +16,8 @@ from pydrake.common import RandomGenerator
 from pydrake.common.cpp_template import TemplateClass
 from pydrake.common.yaml import yaml_load
 from pydrake.geometry import FrameId
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Diagram, LeafSystem
 import pytest
 
@@ -34,15 +36,20 @@ from systems import (
     DisturbedQuadrotor,
     Dropout,
     FlightTrail,
+    FloatingBodyState,
     GuidanceLoop,
     GuidanceSystem,
+    HeadingSystem,
     IdealMotionCapture,
     KinematicGuidance,
     LyapunovMonitor,
     MakeFlightDiagram,
     MakeMeshcat,
     MotionCapture,
+    MultibodyQuadrotor,
+    MultibodyQuadrotorSdf,
     QuadrotorGeometry,
+    QuadrotorInPlant,
     QuadrotorParameters,
     RouteNavigator,
     Se3Controller,
@@ -154,6 +161,15 @@ def moving_estimate() -> np.ndarray:
     return context.get_discrete_state_vector().CopyToVector()
 
 
+def quadrotor_in_plant() -> QuadrotorInPlant:
+    plant = MultibodyPlant(0.0)
+    (instance,) = Parser(plant).AddModelsFromString(
+        MultibodyQuadrotorSdf(QuadrotorParameters()), "sdf"
+    )
+    plant.Finalize()
+    return QuadrotorInPlant(plant, instance, QuadrotorParameters())
+
+
 COMMANDS = {
     "velocity_command": np.array([0.3, -0.1, 0.2]),
     "acceleration_feedforward": np.array([0.2, 0.4, -0.1]),
@@ -179,12 +195,17 @@ CASES = {
     ),
     "Se3Controller": Case(
         lambda vehicle: Se3Controller(
-            vehicle, DEFAULT_GAINS._replace(velocity_gain=2.0, heading=0.1)
+            vehicle, DEFAULT_GAINS._replace(velocity_gain=2.0, disturbance_bandwidth=4.0)
         ),
         "vehicle",
-        {"state": STATE, **COMMANDS},
         {
-            "Gains": DEFAULT_GAINS._replace(damping_ratio=0.8, heading=-0.2),
+            "state": STATE,
+            **COMMANDS,
+            "heading": np.array([0.1]),
+            "predicted_velocity": STATE[6:9] - 0.1,
+        },
+        {
+            "Gains": DEFAULT_GAINS._replace(damping_ratio=0.8, disturbance_bandwidth=5.0),
             "Body": Body(0.6, 5e-4, 7e-4, 9e-4),
         },
     ),
@@ -242,6 +263,26 @@ CASES = {
         flown_supervisor(),
         counts=False,
     ),
+    "HeadingSystem": Case(
+        lambda _: HeadingSystem((1.0, 2.0)),
+        "nothing",
+        {"position": STATE[:3], "velocity_command": COMMANDS["velocity_command"]},
+        {},
+        counts=False,
+        # It looks at a point.
+        idle=("velocity_command",),
+    ),
+    "FloatingBodyState": Case(
+        lambda _: FloatingBodyState(),
+        "nothing",
+        {
+            "body_state": np.array(
+                [0.9, 0.1, -0.2, 0.3, *STATE[:3], 0.1, 0.2, -0.3, *STATE[6:9]]
+            )
+        },
+        {},
+        counts=False,
+    ),
     "RouteNavigator": Case(
         lambda _: RouteNavigator(Navigator(EAST_THEN_NORTH, 0.1), 2, 0.05),
         "nothing",
@@ -262,6 +303,8 @@ PLAIN = {
     ),
     "IdealMotionCapture": IdealMotionCapture,
     "MotionCapture": lambda: MotionCapture(SensorParameters()),
+    "MultibodyQuadrotor": MultibodyQuadrotor,
+    "QuadrotorInPlant": quadrotor_in_plant,
     "QuadrotorGeometry": lambda: QuadrotorGeometry(FrameId.get_new_id()),
 }
 

@@ -14,6 +14,7 @@ from systems.se3_law import (
     LIFT_SHARE,
     MAX_DESIRED_ANGULAR_ACCELERATION,
     MAX_DESIRED_RATE,
+    MAX_HEADING_ERROR,
     MAX_TILT,
     MIN_LIFT,
     SLOW_SPEED,
@@ -60,7 +61,8 @@ def random_case(seed):
             rng.uniform(-2.0, 2.0, 3),
         )
     )
-    gains = Gains(3.0, 12.0, 0.7, rng.uniform(-math.pi, math.pi))
+    turn = rng.uniform(-MAX_HEADING_ERROR, MAX_HEADING_ERROR)
+    gains = Gains(3.0, 12.0, 0.7, state[5] + turn)
     return state, state[6:9] + rng.uniform(-0.5, 0.5, 3), rng.uniform(-2.0, 2.0, 3), gains
 
 

@@ -2,6 +2,7 @@
 
 from dataclasses import asdict
 import json
+import math
 import shutil
 
 import numpy as np
@@ -86,6 +87,26 @@ def test_a_tour_is_replaced_when_asked_and_prints_its_parts(
     assert summary["duration_s"] >= 0.98 * 2 * 2 * np.pi * (2.0 * SCALE) / 2.0
 
 
+@pytest.mark.parametrize(
+    ("heading", "told", "yaw"),
+    [
+        ("path", "path", lambda log: np.arctan2(log.vy, log.vx)),
+        ("0.2,0.1", [0.2 * SCALE, 0.1 * SCALE], None),
+        ("-90", -math.pi / 2, lambda log: -math.pi / 2),
+    ],
+)
+def test_the_vehicle_looks_where_it_is_told_to(run, inputs, tmp_path, heading, told, yaw):
+    flight = ("fly", inputs / "field.safetensors", "--scale", SCALE, "--speed", 0.5)
+    assert run(*flight, "--tour", 1, "--heading", heading, "--out", tmp_path / "out") == 0
+    assert summary_of(tmp_path / "out")["heading"] == told
+    log = pd.read_parquet(tmp_path / "out" / "tour.parquet")
+    log = log[log.time > 2.0]
+    wanted = yaw(log) if yaw else np.arctan2(told[1] - log.y, told[0] - log.x)
+    turn = np.angle(np.exp(1j * (log.yaw - wanted)))
+    # A heading that turns is followed 2 damping_ratio / attitude_bandwidth = 0.12 s later.
+    assert np.abs(turn).max() < 0.15
+
+
 def test_wind_drifts_a_flight_unless_it_is_made_up_for(run, inputs, tmp_path):
     options = ("--tour", "1", "--scale", SCALE, "--speed", 0.5, "--wind", "2,0", "--gust", 0.1)
     errors = []
@@ -144,6 +165,10 @@ BAD = {
     "another path": (
         ("--tour", "1", "--reference", "{inputs}/circle.csv"),
         "the waypoints are in 2 pieces, which are not those of the reference",
+    ),
+    "nowhere to look": (
+        ("--heading", "north"),
+        "--heading north is none, as path, 90 or the point 3.5,-2 is",
     ),
     "hidden tube": (("--tube", "{inputs}/verified"), "is shown by --html or --meshcat"),
     "another tube": (
