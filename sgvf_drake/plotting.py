@@ -202,6 +202,15 @@ def plot_propeller_forces(
     return lines
 
 
+def plot_turn_rate(axes: Axes, log: pd.DataFrame, limit: float) -> Sequence[Artist]:
+    """Draws the commanded turn rate of a flight log (rad/s) and its limit to either side."""
+    lines = axes.plot(log["time"], log["turn_rate"], color=BLUE, linewidth=0.8)
+    lines += [axes.axhline(side * limit, color=GREY, linestyle="--") for side in (-1, 1)]
+    axes.set(xlabel="time [s]", ylabel="commanded turn rate [rad/s]")
+    axes.grid(alpha=0.3)
+    return lines
+
+
 def plot_losses(axes: Axes, history: pd.DataFrame) -> Sequence[Artist]:
     """Draws every loss term of one stage of a training history."""
     terms = history.drop(columns=["stage", "iteration", "total"]).dropna(axis=1, how="all")

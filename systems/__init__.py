@@ -1,4 +1,4 @@
-"""Guiding vector fields as Drake systems, and the quadrotor that they fly.
+"""Guiding vector fields as Drake systems, and the vehicles that follow them.
 
 As in Drake, ``Add...(builder, ...)`` changes a builder and ``Make...`` returns something new.
 """
@@ -11,6 +11,7 @@ from systems.controller import (
     Se3Controller,
     Se3Controller_,
 )
+from systems.course_controller import CourseController, CourseController_
 from systems.diagrams import (
     MakeFlightDiagram,
     MakeSimulator,
@@ -52,6 +53,12 @@ from systems.multibody import (
     QuadrotorInPlant,
 )
 from systems.navigation import RouteNavigator, RouteNavigator_
+from systems.planar_vehicle import (
+    PlanarVehicle,
+    PlanarVehicle_,
+    PlanarVehicleInWind,
+    PlanarVehicleParameters,
+)
 from systems.quadrotor import QuadrotorParameters
 from systems.scene_drawing import DrawField, DrawTube, DrawWaypoints
 from systems.se3_law import Body, Gains
@@ -64,6 +71,9 @@ from systems.sensing import (
 )
 from systems.state_estimator import StateEstimator, StateEstimator_
 from systems.supervision import HOLD_POSITION, ON_TOUR, Mode
+from systems.turning_vehicles import FixedWing, Unicycle
+from systems.vehicle import Feasibility, Quadrotor, Vehicle
+from systems.vehicles import VEHICLES, VehicleNamed
 from systems.visualization import (
     AddFlightVisualization,
     FlightVisualization,
@@ -77,6 +87,7 @@ __all__ = [
     "DISTURBANCE_BANDWIDTH",
     "HOLD_POSITION",
     "ON_TOUR",
+    "VEHICLES",
     "AddFlightTrail",
     "AddFlightVisualization",
     "AddGuidance",
@@ -88,6 +99,8 @@ __all__ = [
     "BranchAlong",
     "BranchSupervisor",
     "BranchSupervisor_",
+    "CourseController",
+    "CourseController_",
     "DifferentiableFunction",
     "Disturbance",
     "DisturbedQuadrotor",
@@ -97,7 +110,9 @@ __all__ = [
     "Dropout",
     "Dropout_",
     "ExitWatch",
+    "Feasibility",
     "FieldForSpeed",
+    "FixedWing",
     "FlightTrail",
     "FlightVisualization",
     "FloatingBodyState",
@@ -122,6 +137,11 @@ __all__ = [
     "MotionCapture",
     "MultibodyQuadrotor",
     "MultibodyQuadrotorSdf",
+    "PlanarVehicle",
+    "PlanarVehicleInWind",
+    "PlanarVehicleParameters",
+    "PlanarVehicle_",
+    "Quadrotor",
     "QuadrotorGeometry",
     "QuadrotorInPlant",
     "QuadrotorParameters",
@@ -140,4 +160,7 @@ __all__ = [
     "StateEstimator_",
     "StopOnExit",
     "SublevelExit",
+    "Unicycle",
+    "Vehicle",
+    "VehicleNamed",
 ]

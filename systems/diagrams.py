@@ -21,12 +21,13 @@ from pydrake.systems.primitives import Demultiplexer, LogVectorOutput
 
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
 from sgvf_drake.fields.base import Field
-from systems.disturbances import Disturbance, DisturbedQuadrotor
+from systems.disturbances import Disturbance
 from systems.guidance_loop import REPORTS, AddGuidance, GuidanceLoop
 from systems.lyapunov_monitor import AddLyapunovMonitor, DifferentiableFunction
-from systems.quadrotor import STATE_SIZE, VELOCITY, QuadrotorParameters
+from systems.quadrotor import STATE_SIZE, QuadrotorParameters
 from systems.scalars import ToFloat
 from systems.sensing import DEFAULT_SAMPLE_PERIOD, DrawNoise
+from systems.vehicle import Quadrotor, Vehicle
 from systems.visualization import AddFlightVisualization
 
 INTEGRATION_STEP = 0.005
@@ -36,7 +37,7 @@ than 1 um at 2 m/s, and by less than 10 um at 4 m/s."""
 
 def MakeFlightDiagram(
     field: Field,
-    parameters: QuadrotorParameters | None = None,
+    parameters: QuadrotorParameters | Vehicle | None = None,
     *,
     disturbance: Disturbance | None = None,
     log_period: float | None = DEFAULT_SAMPLE_PERIOD,
@@ -45,30 +46,31 @@ def MakeFlightDiagram(
     meshcat: Meshcat | None = None,
     **guidance: Any,
 ) -> Diagram:
-    """Returns the diagram of a quadrotor that follows a guiding vector field.
+    """Returns the diagram of a vehicle that follows a guiding vector field.
 
     The systems are named "plant" (Drake's QuadrotorPlant, or a `DisturbedQuadrotor`) and
     "guidance_loop", and the logs (VectorLogSink) "state_log", "velocity_command_log" and
-    "propeller_force_log"; see `AddGuidance`.  A log sees the commands that hold until its
-    sample: at a time of sampling, those of the sample before.  The output port `state` (12)
-    is the plant's.  With a "supervisor" there are the logs "mode_log" and "branch_log" too, and
-    with a directed field "edge_log" and "arc_log".
+    "propeller_force_log", or that of another actuation; see `AddGuidance`.  A log sees the
+    commands that hold until its sample: at a time of sampling, those of the sample before.
+    The output port `state` is the plant's.  With a "supervisor" there are the logs "mode_log"
+    and "branch_log" too, and with a directed field "edge_log" and "arc_log".
 
     With a Lyapunov function of dimension d there is a `LyapunovMonitor` "lyapunov" of the
     vehicle's first d coordinates, and the logs "V_log" and "V_dot_log".  It watches the true
     state, not the sampled one; see `StopOnExit` for what it can end.
 
-    See `SetHover` for the start and `MakeSimulator` for the simulation.
+    See `SetHover` and `SetVehicleState` for the start and `MakeSimulator` for the simulation.
 
     Args:
         field: The guiding field, of dimension 2 or 3, in metres.
-        parameters: The vehicle, as the controller believes it; by default the paper's.
+        parameters: The vehicle, as the controller believes it: a quadrotor's parameters, or
+            any `Vehicle`; by default the paper's quadrotor.
         disturbance: Wind, drag, motor lag and what else is not as believed; None: nothing is.
         log_period: Of the logs in s; 0 logs every step, and None leaves the logs out.
         lyapunov: A Lyapunov function V of dimension 2 or 3; None: there is no monitor.
         level: Of the sublevel set of V that is watched.
-        meshcat: Shows the flight; see `AddFlightVisualization`.  The diagram can then not be
-            converted to AutoDiffXd.
+        meshcat: Shows the flight of a quadrotor; see `AddFlightVisualization`.  The diagram can
+            then not be converted to AutoDiffXd.
         **guidance: `speed`, `altitude`, `sample_period`, `feedforward`, `saturate`, `gains`,
             `sensors`, `supervisor` and `heading` as in `AddGuidance`.
 
@@ -76,15 +78,13 @@ def MakeFlightDiagram(
         ConfigurationError: if an argument cannot be used.
     """
     parameters = parameters or QuadrotorParameters()
+    vehicle = parameters if isinstance(parameters, Vehicle) else Quadrotor(parameters)
     builder = DiagramBuilder()
-    plant: System = parameters.MakePlant()
-    if disturbance is not None:
-        plant = DisturbedQuadrotor(parameters, disturbance)
-    builder.AddNamedSystem("plant", plant)
+    plant = builder.AddNamedSystem("plant", vehicle.MakePlant(disturbance))
     loop = AddGuidance(builder, field, plant, parameters, **guidance)
     builder.ExportOutput(plant.GetOutputPort("state"), "state")
     if log_period is not None:
-        names = ("velocity_command", "propeller_force", *REPORTS)
+        names = ("velocity_command", loop.actuation, *REPORTS)
         logged = (loop.GetOutputPort(name) for name in names if loop.HasOutputPort(name))
         for port in (plant.GetOutputPort("state"), *logged):
             LogVectorOutput(port, builder, log_period).set_name(f"{port.get_name()}_log")
@@ -93,33 +93,37 @@ def MakeFlightDiagram(
             builder,
             lyapunov,
             plant.GetOutputPort("state"),
-            _VelocityPort(builder, plant, lyapunov.dim),
+            _VelocityPort(builder, plant, vehicle.velocity.start, lyapunov.dim),
             level=level,
             log_period=log_period,
         )
     if meshcat is not None:
-        AddFlightVisualization(builder, plant.GetOutputPort("state"), parameters, meshcat)
+        if not isinstance(vehicle, Quadrotor):
+            raise ConfigurationError(f"Meshcat shows quadrotors only, and no {vehicle.name}")
+        state = plant.GetOutputPort("state")
+        AddFlightVisualization(builder, state, vehicle.parameters, meshcat)
     diagram = builder.Build()
     diagram.set_name("flight")
     return diagram
 
 
-def _VelocityPort(builder: DiagramBuilder, plant: System, dim: int) -> OutputPort:
+def _VelocityPort(builder: DiagramBuilder, plant: System, first: int, dim: int) -> OutputPort:
     """Returns a port with the first entries of v_WB, taken from the vehicle's state."""
     if dim not in (2, 3):
         raise ConfigurationError(
             f"a vehicle needs a Lyapunov function of dimension 2 or 3, got {dim}"
         )
-    sizes = [VELOCITY.start, dim, STATE_SIZE - VELOCITY.start - dim]
+    state = plant.GetOutputPort("state")
+    sizes = [n for n in (first, dim, state.size() - first - dim) if n]
     parts = builder.AddNamedSystem("state_parts", Demultiplexer(sizes))
-    builder.Connect(plant.GetOutputPort("state"), parts.get_input_port())
+    builder.Connect(state, parts.get_input_port())
     return parts.get_output_port(1)
 
 
 def SetHover(
     diagram: Diagram, context: Context, position: ArrayLike, loop: str | None = None
 ) -> None:
-    """Sets a vehicle to hover, level and at rest.
+    """Sets a quadrotor to hover, level and at rest; see `SetVehicleState` for others.
 
     Args:
         diagram: From `MakeFlightDiagram`, or any with a `GuidanceLoop`.
@@ -128,12 +132,15 @@ def SetHover(
         loop: The name of the loop around the vehicle; None: there is only one.
 
     Raises:
-        ConfigurationError: if the shape is wrong, or as in `SetVehicleState`.
+        ConfigurationError: if the shape is wrong, if the vehicle cannot hover, or as in
+            `SetVehicleState`.
         NonFiniteValueError: if the position is not finite.
     """
     p_WB = np.asarray(position, dtype=np.float64)
     if p_WB.shape != (3,):
         raise ConfigurationError(f"position must have shape (3,), got {p_WB.shape}")
+    if _FindLoop(diagram, loop).GetInputPort("state").size() != STATE_SIZE:
+        raise ConfigurationError("only a quadrotor hovers; set this vehicle's whole state")
     SetVehicleState(diagram, context, np.concatenate((p_WB, np.zeros(STATE_SIZE - 3))), loop)
 
 
@@ -148,7 +155,7 @@ def SetVehicleState(
     Args:
         diagram: From `MakeFlightDiagram`, or any with a `GuidanceLoop`.
         context: The Context of the diagram.
-        state: The state (12,), as QuadrotorPlant's.
+        state: That of the vehicle: (12,), as QuadrotorPlant's, or of another `Vehicle`.
         loop: The name of the loop around the vehicle; None: there is only one.
 
     Raises:
@@ -157,11 +164,12 @@ def SetVehicleState(
         NonFiniteValueError: if the state is not finite.
     """
     values: Any = np.asarray(state, dtype=np.float64)
-    if values.shape != (STATE_SIZE,):
-        raise ConfigurationError(f"state must have shape ({STATE_SIZE},), got {values.shape}")
+    found = _FindLoop(diagram, loop)
+    size = found.GetInputPort("state").size()
+    if values.shape != (size,):
+        raise ConfigurationError(f"state must have shape ({size},), got {values.shape}")
     if not np.isfinite(values).all():
         raise NonFiniteValueError(f"the vehicle's state must be finite: {values.tolist()}")
-    found = _FindLoop(diagram, loop)
     plant: Any = _FindPlant(diagram, found)
     if hasattr(plant, "SetVehicleState"):
         plant.SetVehicleState(context, values)
@@ -217,8 +225,8 @@ def _FindLoop(diagram: Diagram, name: str | None) -> GuidanceLoop:
 
 
 def _FindPlant(diagram: Diagram, loop: GuidanceLoop) -> System:
-    """Returns what the propeller forces of a loop go to."""
-    port = loop.GetOutputPort("propeller_force").get_index()
+    """Returns what a loop commands."""
+    port = loop.GetOutputPort(loop.actuation).get_index()
     for (target, _), source in diagram.connection_map().items():
         if source == (loop, port) and target.HasOutputPort("state"):
             return target

@@ -112,7 +112,7 @@ class DisturbedQuadrotor(Diagram):
         builder = DiagramBuilder()
         self._quadrotor = builder.AddNamedSystem("quadrotor", self._body.MakePlant())
         self._AddPropellers(builder)
-        wind = _AddWind(builder, disturbance)
+        wind = AddWind(builder, disturbance)
         self._drift = builder.AddNamedSystem(
             "drift", _MakeDrift(disturbance.drag / self._body.mass)
         )
@@ -173,7 +173,7 @@ def _MakeDrift(rate: float) -> LinearSystem:
     return LinearSystem(*matrices)
 
 
-def _AddWind(builder: DiagramBuilder, disturbance: Disturbance) -> OutputPort:
+def AddWind(builder: DiagramBuilder, disturbance: Disturbance) -> OutputPort:
     """Adds the mean wind and the gusts; returns the velocity of the air (3,)."""
     mean_wind: Any = np.array(disturbance.wind)
     mean = builder.AddNamedSystem("mean_wind", ConstantVectorSource(mean_wind))

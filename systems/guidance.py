@@ -52,7 +52,7 @@ MAX_CLIMB_RATE = 1.0
 """m/s, up and down."""
 
 MAX_APPROACH_RATE = 4.0
-"""1/s; how fast a flown field may ask a vehicle to turn toward the path.  A third of the
+"""1/s; how fast a flown field may ask a quadrotor to turn toward the path.  A third of the
 attitude bandwidth of the default controller: beyond about 8 the flight oscillates across the
 path, below it costs nothing measurable."""
 
@@ -63,20 +63,23 @@ WIDENED_FIELDS = 8
 """Fields of other approach lengths that a system keeps, one for each speed in use."""
 
 
-def FieldForSpeed(field: Field, speed: float) -> Field:
+def FieldForSpeed(
+    field: Field, speed: float, max_approach_rate: float = MAX_APPROACH_RATE
+) -> Field:
     """Returns the field as a vehicle flies it at a speed: made wide enough to be followed.
 
     Beside the path, a field asks a vehicle to turn at the rate speed / approach_length.
-    Where that is more than `MAX_APPROACH_RATE`, the approach length grows; fields that
+    Where that is more than the vehicle can, the approach length grows; fields that
     cannot be adjusted, or need not be, are returned as they are.
 
     Args:
         field: The field, in metres.
         speed: In m/s.
+        max_approach_rate: What the vehicle can, in 1/s; by default a quadrotor.
     """
     if not isinstance(field, AdjustableField):
         return field
-    needed = _ApproachLength(field, speed)
+    needed = _ApproachLength(field, speed, max_approach_rate)
     return field.with_approach_length(needed) if needed > field.approach_length else field
 
 
@@ -93,11 +96,11 @@ def CheckFlown(field: Field | SteerableField) -> None:
         )
 
 
-def _ApproachLength(field: Field, speed: Scalar) -> float:
+def _ApproachLength(field: Field, speed: Scalar, max_approach_rate: float) -> float:
     """Returns the approach length in m at which a vehicle follows a field, 0 if it has none."""
     if not isinstance(field, AdjustableField):
         return 0.0
-    return max(field.approach_length, ToFloat(speed) / MAX_APPROACH_RATE)
+    return max(field.approach_length, ToFloat(speed) / max_approach_rate)
 
 
 @TemplateSystem.define("GuidanceSystem_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
@@ -154,6 +157,8 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             altitude: In m; only for a field of dimension 2.
             feedforward: False makes `acceleration_feedforward` zero, to show what it is
                 for.
+            max_approach_rate: How fast the field may ask the vehicle to turn toward the path,
+                in 1/s; by default that of a quadrotor.
 
         Raises:
             ConfigurationError: if an argument or a parameter cannot be used, or a
@@ -168,13 +173,15 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             speed: float = DEFAULT_SPEED,
             altitude: float = DEFAULT_ALTITUDE,
             feedforward: bool = True,
+            max_approach_rate: float = MAX_APPROACH_RATE,
             converter: Any = None,
         ) -> None:
             LeafSystem_[T].__init__(self, converter=converter)
             CheckFlown(field)
             CheckNonNegativeParameter("speed", speed)
+            CheckPositiveParameter("max_approach_rate", max_approach_rate)
             CheckFiniteParameter("altitude", altitude)
-            self._field = field
+            self._field, self._max_approach_rate = field, max_approach_rate
             self._is_adjustable = isinstance(field, AdjustableField)
             self._Flown = lru_cache(WIDENED_FIELDS)(partial(_Fly, field, T))
             self._feedforward = feedforward
@@ -182,7 +189,9 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             self._position = self.DeclareVectorInputPort("position", 3)
             self._velocity = self.DeclareVectorInputPort("velocity", 3)
             self.parameter_index = self.DeclareNumericParameter(
-                BasicVector_[T]([speed, altitude, _ApproachLength(field, speed)])
+                BasicVector_[T](
+                    [speed, altitude, _ApproachLength(field, speed, max_approach_rate)]
+                )
             )
             parameters = self.all_parameters_ticket()
             sources = {parameters}
@@ -238,7 +247,8 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             CheckNonNegativeParameter("speed", speed)
             parameters = context.get_mutable_numeric_parameter(self.parameter_index)
             parameters.SetAtIndex(0, speed)
-            parameters.SetAtIndex(2, T(_ApproachLength(self._field, speed)))
+            length = _ApproachLength(self._field, speed, self._max_approach_rate)
+            parameters.SetAtIndex(2, T(length))
 
         def GetAltitude(self, context: Any) -> Scalar:
             """Returns the altitude in m."""

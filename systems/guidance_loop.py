@@ -8,17 +8,13 @@ from pydrake.systems.primitives import Integrator
 
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields.base import Field, SteerableField
-from systems.controller import DEFAULT_GAINS, Se3Controller
-from systems.guidance import DEFAULT_ALTITUDE, DEFAULT_SPEED, GuidanceSystem
+from systems.controller import DEFAULT_GAINS
+from systems.guidance import DEFAULT_ALTITUDE, GuidanceSystem
 from systems.multibody import MultibodyQuadrotor, QuadrotorInPlant
 from systems.quadrotor import ATTITUDE, VELOCITY, QuadrotorParameters
 from systems.se3_law import Gains
-from systems.sensing import (
-    DEFAULT_SAMPLE_PERIOD,
-    IdealMotionCapture,
-    MotionCapture,
-    SensorParameters,
-)
+from systems.sensing import DEFAULT_SAMPLE_PERIOD, SensorParameters
+from systems.vehicle import Quadrotor, Vehicle
 
 MOTION = ("position", "velocity")
 """Ports of a motion capture, of guidance and of a supervisor."""
@@ -31,7 +27,7 @@ REPORTS = ("mode", "branch", "edge", "arc")
 
 
 class GuidanceLoop(Diagram):
-    """Makes a vehicle follow a path: what is between its state and its propellers.
+    """Makes a vehicle follow a path: what is between its state and its actuation.
 
     .. pydrake_system::
 
@@ -47,10 +43,13 @@ class GuidanceLoop(Diagram):
 
     `state` (12) is what is measured, QuadrotorPlant's, and `propeller_force` (4) its input.
     `measured_state` (12), `velocity_command` (3) in m/s and `acceleration_feedforward` (3) in
-    m/s^2 in W are what the controller is given.  What else a supervisor tells is an output too:
-    `mode`, `branch`, and on a directed field `edge` and `arc`.  What may stay unconnected is an
-    input: `next_edge` of a supervisor and, without sensors, its `measurement_age`; without a
-    supervisor `intended_direction` of guidance; and `heading` of a controller that has one.
+    m/s^2 in W are what the controller is given.  Another `Vehicle` has a state of another size,
+    and in place of `propeller_force` the port of its actuation.
+
+    What else a supervisor tells is an output too: `mode`, `branch`, and on a directed field
+    `edge` and `arc`.  What may stay unconnected is an input: `next_edge` of a supervisor and,
+    without sensors, its `measurement_age`; without a supervisor `intended_direction` of
+    guidance; and `heading` of a controller that has one.
 
     The systems inside have the names of the attributes.  Everything but the motion capture is
     direct feed-through.  What Drake converts or clones is a plain Diagram of the same systems.
@@ -61,15 +60,17 @@ class GuidanceLoop(Diagram):
         motion_capture: The `IdealMotionCapture`, or with sensors the `MotionCapture`.
         supervisor: The `BranchSupervisor`, or None.
         heading: The `HeadingSystem`, or None.
+        actuation: The name of the port that commands the vehicle.
 
     Args:
         guidance: A system with input ports `position` (3) and `velocity` (3), and output
             ports `velocity_command` (3) and `acceleration_feedforward` (3), in W and SI units.
         controller: A system with these two as inputs, an input `state` (12) and an output
-            `propeller_force` (4).
+            `propeller_force` (4), or for another vehicle its own state and actuation.
         motion_capture: An `IdealMotionCapture` or a `MotionCapture`.
         supervisor: A `BranchSupervisor`, or None.
         heading: A `HeadingSystem`, for a controller with an input `heading` (1), or None.
+        actuation: The name of the controller's output.
 
     Raises:
         ConfigurationError: if a port is missing.
@@ -82,10 +83,13 @@ class GuidanceLoop(Diagram):
         motion_capture: Any,
         supervisor: Any = None,
         heading: Any = None,
+        actuation: str = Quadrotor.actuation,
     ) -> None:
         super().__init__()
         asked = COMMANDS if supervisor is None else (*COMMANDS, "speed")
         _CheckPorts(guidance, "guidance", MOTION, asked)
+        _CheckPorts(controller, "the controller", ("state", *COMMANDS), (actuation,))
+        self.actuation = actuation
         if heading is not None:
             _CheckPorts(heading, "heading", ("position", "velocity_command"), ("heading",))
             _CheckPorts(controller, "a controller that is told a heading", ("heading",), ())
@@ -126,7 +130,7 @@ class GuidanceLoop(Diagram):
         builder.ExportOutput(motion_capture.GetOutputPort("state"), "measured_state")
         for name in COMMANDS:
             builder.ExportOutput(commander.GetOutputPort(name), name)
-        builder.ExportOutput(controller.GetOutputPort("propeller_force"), "propeller_force")
+        builder.ExportOutput(controller.GetOutputPort(actuation), actuation)
         for name in REPORTS:
             if supervisor is not None and supervisor.HasOutputPort(name):
                 builder.ExportOutput(supervisor.GetOutputPort(name), name)
@@ -155,7 +159,7 @@ class GuidanceLoop(Diagram):
 
         Args:
             context: This system's own.
-            state: The state (12,), as QuadrotorPlant's.
+            state: The state of the vehicle.
         """
         capture, predictor = self.motion_capture, self._predictor
         capture.SetVectorState(self.GetMutableSubsystemContext(capture, context), state)
@@ -171,10 +175,10 @@ def AddGuidance(
     builder: DiagramBuilder,
     guidance: Field | SteerableField | System,
     plant: System,
-    parameters: QuadrotorParameters | None = None,
+    parameters: QuadrotorParameters | Vehicle | None = None,
     *,
     name: str = "guidance_loop",
-    speed: float = DEFAULT_SPEED,
+    speed: float | None = None,
     altitude: float = DEFAULT_ALTITUDE,
     sample_period: float = DEFAULT_SAMPLE_PERIOD,
     feedforward: bool = True,
@@ -195,18 +199,18 @@ def AddGuidance(
         guidance: The guiding field, of dimension 2 or 3, in metres; or a system in the place of
             `GuidanceSystem`, with the ports that `GuidanceLoop` asks for.
         plant: A QuadrotorPlant, or a system with its ports: input `propeller_force` (4)
-            and output `state` (12).
-        parameters: The vehicle.  By default those of the plant, if it is a QuadrotorPlant,
-            with the paper's thrust-to-weight ratio, and those that a `QuadrotorInPlant` or a
-            `MultibodyQuadrotor` has.
+            and output `state` (12); for another vehicle, as its `MakePlant` makes it.
+        parameters: The vehicle: a quadrotor's parameters, or any `Vehicle`.  By default those
+            of the plant, if it is a QuadrotorPlant, with the paper's thrust-to-weight ratio,
+            and those that a `QuadrotorInPlant` or a `MultibodyQuadrotor` has.
         name: The name of the loop in the builder.
-        speed: In m/s, at which a field is followed.
+        speed: In m/s, at which a field is followed; None: the vehicle's own.
         altitude: In m; only for a field of dimension 2.
         sample_period: Of an ideal motion capture, and so of the whole loop, in s; 0 leaves
             sampling out, so that the loop is continuous.
         feedforward: As in `GuidanceSystem`.
-        saturate: As in `Se3Controller`.
-        gains: As in `Se3Controller`.
+        saturate: As in `Se3Controller`, of a quadrotor's parameters.
+        gains: As in `Se3Controller`, of a quadrotor's parameters.
         sensors: Noise, delay and rates of the measurements; None: the ideal motion capture.
         supervisor: A `BranchSupervisor` for the same field, which is added.
         heading: A `HeadingSystem`, which is added: where the vehicle looks; None: where the
@@ -220,19 +224,43 @@ def AddGuidance(
     Raises:
         ConfigurationError: if an argument cannot be used; then nothing was added.
     """
-    _CheckPlace(builder, plant, name)
-    if parameters is None:
-        parameters = _ReadParameters(plant)
+    actuation = parameters.actuation if isinstance(parameters, Vehicle) else Quadrotor.actuation
+    _CheckPlace(builder, plant, name, actuation)
+    vehicle = _VehicleOf(plant, parameters, gains, saturate)
+    if plant.GetOutputPort("state").size() != len(vehicle.state_columns):
+        raise ConfigurationError(
+            f"the state of a {vehicle.name} is {', '.join(vehicle.state_columns)}; that of "
+            f"{plant.get_name()!r} has {plant.GetOutputPort('state').size()} entries"
+        )
+    speed = vehicle.own_speed if speed is None else speed
     guide: Any = guidance
     if not isinstance(guidance, System):
-        guide = GuidanceSystem(guidance, speed, altitude, feedforward)
-    capture = IdealMotionCapture(sample_period) if sensors is None else MotionCapture(sensors)
-    controller = Se3Controller(parameters, gains, saturate)
-    loop = GuidanceLoop(guide, controller, capture, supervisor, heading)
+        guide = GuidanceSystem(guidance, speed, altitude, feedforward, vehicle.approach_rate)
+        vehicle.CheckGuided(guidance.dim, speed)
+    capture = vehicle.MakeMotionCapture(sample_period, sensors)
+    loop = GuidanceLoop(
+        guide, vehicle.MakeController(), capture, supervisor, heading, actuation
+    )
     builder.AddNamedSystem(name, loop)
     builder.Connect(measured_port or plant.GetOutputPort("state"), loop.GetInputPort("state"))
-    _Connect(builder, loop, plant, "propeller_force")
+    _Connect(builder, loop, plant, actuation)
     return loop
+
+
+def _VehicleOf(
+    plant: System,
+    parameters: QuadrotorParameters | Vehicle | None,
+    gains: Gains,
+    saturate: bool,
+) -> Vehicle:
+    """Returns the vehicle of a plant."""
+    if isinstance(parameters, Vehicle):
+        if gains != DEFAULT_GAINS or not saturate:
+            raise ConfigurationError("`gains` and `saturate` belong to the vehicle given")
+        return parameters
+    if parameters is None:
+        parameters = _ReadParameters(plant)
+    return Quadrotor(parameters, gains, saturate)
 
 
 def _ReadParameters(plant: Any) -> QuadrotorParameters:
@@ -247,7 +275,7 @@ def _ReadParameters(plant: Any) -> QuadrotorParameters:
     )
 
 
-def _CheckPlace(builder: DiagramBuilder, plant: System, name: str) -> None:
+def _CheckPlace(builder: DiagramBuilder, plant: System, name: str, actuation: str) -> None:
     """Raises ConfigurationError unless a loop of this name can be put around the plant.
 
     Drake ends the process on what is found out only when the diagram is built.
@@ -258,10 +286,10 @@ def _CheckPlace(builder: DiagramBuilder, plant: System, name: str) -> None:
         )
     if not any(system is plant for system in builder.GetSystems()):
         raise ConfigurationError(f"the plant {plant.get_name()!r} is not in the builder")
-    _CheckPorts(plant, "the plant", ("propeller_force",), ("state",))
-    if builder.IsConnectedOrExported(plant.GetInputPort("propeller_force")):
+    _CheckPorts(plant, "the plant", (actuation,), ("state",))
+    if builder.IsConnectedOrExported(plant.GetInputPort(actuation)):
         raise ConfigurationError(
-            f"the propellers of {plant.get_name()!r} are commanded already"
+            f"the port {actuation!r} of {plant.get_name()!r} is commanded already"
         )
 
 

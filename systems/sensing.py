@@ -212,21 +212,29 @@ class IdealMotionCapture(Diagram):
 
     Args:
         period: In s, for which a sample is held; 0 passes the state through in continuous time.
+        size: Of the state, which begins with the position; by default QuadrotorPlant's.
+        velocity: The entries of the velocity in it.
     """
 
-    def __init__(self, period: float = DEFAULT_SAMPLE_PERIOD) -> None:
+    def __init__(
+        self,
+        period: float = DEFAULT_SAMPLE_PERIOD,
+        size: int = STATE_SIZE,
+        velocity: slice = VELOCITY,
+    ) -> None:
         super().__init__()
         builder = DiagramBuilder()
-        parts = builder.AddNamedSystem("state_parts", Demultiplexer([3, 3, 3, 3]))
+        sizes = [3, velocity.start - 3, 3, size - velocity.stop]
+        parts = builder.AddNamedSystem("state_parts", Demultiplexer([n for n in sizes if n]))
         builder.ExportInput(parts.get_input_port(), "state")
         self._holds: list[tuple[Any, slice]] = []
         for name, entries, part in (
-            ("state", slice(STATE_SIZE), None),
+            ("state", slice(size), None),
             ("position", POSITION, parts.get_output_port(0)),
-            ("velocity", VELOCITY, parts.get_output_port(2)),
+            ("velocity", velocity, parts.get_output_port(2)),
         ):
-            size = STATE_SIZE if part is None else part.size()
-            hold: Any = ZeroOrderHold(period, size) if period > 0.0 else PassThrough(size)
+            width = size if part is None else part.size()
+            hold: Any = ZeroOrderHold(period, width) if period > 0.0 else PassThrough(width)
             builder.AddNamedSystem(name, hold)
             if part is None:
                 builder.ConnectInput("state", hold.get_input_port())
@@ -242,7 +250,7 @@ class IdealMotionCapture(Diagram):
 
         Args:
             context: This system's own.
-            state: The state (12,), as QuadrotorPlant's.
+            state: The state, of the size of this system's.
         """
         for hold, entries in self._holds:
             hold.SetVectorState(self.GetMutableSubsystemContext(hold, context), state[entries])

@@ -91,7 +91,20 @@ def follow(
 def fly(
     field: FieldPath,
     out: Out,
-    speed: Annotated[float, typer.Option(help="Commanded speed, m/s.")] = 0.45,
+    vehicle: Annotated[
+        str, typer.Option(help="What flies: quadrotor, unicycle or fixed-wing.")
+    ] = "quadrotor",
+    speed: Annotated[
+        float | None,
+        typer.Option(help="Commanded speed, m/s  \\[default: 0.45; of a fixed wing 15]."),
+    ] = None,
+    turn_radius: Annotated[
+        float | None,
+        typer.Option(
+            help="Of the tightest turn of a unicycle or a fixed wing, m  \\[default: what 2 "
+            "rad/s or a bank of 35 degrees allow at the speed]."
+        ),
+    ] = None,
     laps: Annotated[
         float | None,
         typer.Option(
@@ -174,7 +187,7 @@ def fly(
     columns: ReferenceColumns = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Fly Drake's quadrotor along every piece of the path, a route, or from piece to piece."""
+    """Fly a vehicle along every piece of the path, a route, or from piece to piece."""
     from sgvf_drake.experiments import (
         CertifiedField,
         FlightSpec,
@@ -185,7 +198,13 @@ def fly(
         run_tour,
     )
     from sgvf_drake.fields import DirectedField
-    from systems import DEFAULT_GAINS, DISTURBANCE_BANDWIDTH, SensorParameters
+    from systems import (
+        DEFAULT_GAINS,
+        DISTURBANCE_BANDWIDTH,
+        Quadrotor,
+        SensorParameters,
+        VehicleNamed,
+    )
 
     _check_exclusive(tour, route, to, cover)
     pieces = None if tour is None else _pieces_of(tour)
@@ -193,11 +212,17 @@ def fly(
         raise ConfigurationError(
             f"--certificate {certificate} says nothing of a tour: transfers leave the field"
         )
+    craft = VehicleNamed(vehicle)
+    if (html or meshcat) and not issubclass(craft, Quadrotor):
+        raise ConfigurationError(f"--html and --meshcat show quadrotors only, no {vehicle}")
+    speed = craft.default_speed if speed is None else speed
     loaded = open_field(field)
     directed = isinstance(loaded, DirectedField)
     yaw, looks = _heading_of(heading, scale)
     spec = FlightSpec(
+        vehicle=vehicle,
         speed=speed,
+        turn_radius=turn_radius,
         laps=laps if laps is not None else 1.0 if directed or tour else 2.0,
         altitude=altitude,
         sensors=SensorParameters() if sensors else None,

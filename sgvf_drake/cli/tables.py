@@ -112,8 +112,6 @@ def _length(value: float | None, unit: float) -> str:
 
 def print_flight(summary: Mapping[str, Any]) -> None:
     """Prints the summary of flights, a row a piece."""
-    demand, limit = summary["acceleration_demand_m_s2"], summary["acceleration_limit_m_s2"]
-    verdict = "feasible" if demand < limit else "NOT feasible"
     # Headings are broken so that the table fits in 80 columns.
     columns: dict[str, Callable[[Any], str]] = {
         "piece": lambda piece: str(piece["piece"] + 1),
@@ -121,15 +119,29 @@ def print_flight(summary: Mapping[str, Any]) -> None:
         "max\n[m]": lambda piece: _number(piece["cross_track_max_m"]),
         "speed\n[m/s]": lambda piece: f"{piece['speed_mean_m_s']:.3f}",
         "altitude\nRMS [m]": lambda piece: _number(piece["altitude_rms_m"]),
-        "force\n[N]": lambda piece: f"{piece['motor_force_max_n']:.2f}",
+        "force\n[N]": lambda piece: _number(piece["motor_force_max_n"], 2),
         "satu-\nrated": lambda piece: f"{piece['saturated_fraction']:.1%}",
         _aim(summary["pieces"]): _completion,
         "x real\ntime": lambda piece: f"{piece['real_time_factor']:.0f}",
     }
-    console.print(f"acceleration {demand:.2f} of {limit:.1f} m/s^2: {verdict}", highlight=False)
+    console.print(_feasibility(summary), highlight=False)
     print_columns("Flight", columns, summary["pieces"], "right", first="right")
     if "certificate" in summary:
         console.print(_margin(summary["certificate"]), highlight=False)
+
+
+def _feasibility(summary: Mapping[str, Any]) -> str:
+    """Returns in words whether the vehicle can do what the path demands."""
+    demand, limit = summary["acceleration_demand_m_s2"], summary["acceleration_limit_m_s2"]
+    if demand is not None:
+        verdict = "feasible" if demand < limit else "NOT feasible"
+        return f"acceleration {demand:.2f} of {limit:.1f} m/s^2: {verdict}"
+    demand, limit = summary["curvature_demand_1_m"], summary["curvature_limit_1_m"]
+    if demand < limit:
+        verdict = "feasible"
+    else:
+        verdict = f"NOT feasible in bends {demand / limit:.1f} times too tight, turned wide"
+    return f"curvature {demand:.3g} of {limit:.3g} 1/m: {verdict}"
 
 
 def _margin(found: Mapping[str, Any]) -> str:
@@ -202,8 +214,8 @@ def _completion(piece: Mapping[str, Any]) -> str:
     return f"{piece['laps']:.2f}"
 
 
-def _number(value: float | None) -> str:
-    return "-" if value is None or math.isnan(value) else f"{value:.4f}"
+def _number(value: float | None, digits: int = 4) -> str:
+    return "-" if value is None or math.isnan(value) else f"{value:.{digits}f}"
 
 
 def print_columns(

@@ -1,8 +1,9 @@
-"""One flight of the quadrotor: what is asked for, its simulation and its log."""
+"""One flight of a vehicle: what is asked for, its simulation and its log."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
+from functools import partial
 import time
 from typing import Any, Literal, NamedTuple
 
@@ -25,29 +26,28 @@ from systems import (
     DEFAULT_GAINS,
     Branch,
     Disturbance,
-    FieldForSpeed,
+    Feasibility,
     Gains,
     HeadingSystem,
     MakeFlightDiagram,
     MakeSimulator,
+    Quadrotor,
     QuadrotorParameters,
     SensorParameters,
-    SetHover,
     SetNoiseSeed,
+    SetVehicleState,
     StopOnExit,
     SublevelExit,
+    Vehicle,
+    VehicleNamed,
 )
 from systems.guidance import DEFAULT_ALTITUDE, DEFAULT_SPEED
 
 LOG_PERIOD = 0.01
 POSITION_COLUMNS = ("x", "y", "z")
 VELOCITY_COLUMNS = ("vx", "vy", "vz")
-STATE_COLUMNS = (
-    *(*POSITION_COLUMNS, "roll", "pitch", "yaw"),
-    *(*VELOCITY_COLUMNS, "roll_rate", "pitch_rate", "yaw_rate"),
-)
 COMMAND_COLUMNS = ("vx_command", "vy_command", "vz_command")
-FORCE_COLUMNS = ("force_1", "force_2", "force_3", "force_4")
+FORCE_COLUMNS = Quadrotor.actuation_columns
 
 # The vehicle hovers this many U beside the path at the start.
 START_OFFSET = 0.5
@@ -60,6 +60,9 @@ REST_S = 3.0
 TAKE_OFF_S = 1.0
 # Waypoints are noisy; the direction of an end is that of this many U of the piece.
 END_SECTION = 1.0
+# A vehicle that cannot rest is past an end where it is told to turn back, and to be slower than
+# this part of its speed.
+SLOWED = 0.5
 # A flight that may be over before its time is looked at this often, s.
 LOOK_PERIOD = 0.1
 # Points of each piece of the reference at which the demand of the path is read.
@@ -68,18 +71,21 @@ DEMAND_SAMPLES = 2_000
 
 @dataclass(frozen=True)
 class FlightSpec:
-    """How the quadrotor is flown.
+    """How a vehicle is flown.
 
     Attributes:
-        speed: Commanded speed, m/s.
+        vehicle: A name of `systems.VEHICLES`.
+        speed: Commanded speed, m/s; of a vehicle that only turns, its own.
+        turn_radius: Of the tightest turn of such a vehicle, m; None: its own.
         laps: Lengths of every closed piece that are flown, at least 1, since the last lap is
             what is measured.
         altitude: Height of the flight where the field is planar, m.
-        parameters: The vehicle; by default the paper's.
+        parameters: Those of a quadrotor; by default the paper's.
         sensors: Noise, delay and rates of the measurements; None: they are ideal.
         disturbance: Wind, drag, motor lag and what else is not as believed; None: nothing is.
-        gains: Gains of the controller; with a disturbance bandwidth it makes up for that.
-        heading: Where the vehicle looks: "path", along its path, or the point (x, y) in m
+        gains: Gains of a quadrotor's controller; with a disturbance bandwidth it makes up for
+            that.
+        heading: Where a quadrotor looks: "path", along its path, or the point (x, y) in m
             towards which it looks; None: where the gains say.
         seed: Seed of the noise of the sensors and of the gusts.
         start: Position p_WB (x, y, z) of the hover that the flight starts from, m; None:
@@ -87,7 +93,7 @@ class FlightSpec:
         duration: Time of the flight, longer than the take-off, s; None: enough for the path.
 
     Raises:
-        ConfigurationError: If the speed, the laps, the altitude or the duration cannot be used.
+        ConfigurationError: If a value cannot be used, or if the vehicle has no such thing.
     """
 
     speed: float = DEFAULT_SPEED
@@ -101,6 +107,8 @@ class FlightSpec:
     seed: int = 0
     start: tuple[float, ...] | None = None
     duration: float | None = None
+    vehicle: str = Quadrotor.name
+    turn_radius: float | None = None
 
     def __post_init__(self) -> None:
         for name, value in (("speed", self.speed), ("altitude", self.altitude)):
@@ -112,6 +120,21 @@ class FlightSpec:
             raise ConfigurationError(
                 f"the duration must be longer than {TAKE_OFF_S:g} s, the time for the "
                 f"take-off, not {self.duration}"
+            )
+        _ = self.craft
+
+    @property
+    def craft(self) -> Vehicle:
+        """What flies."""
+        kind = VehicleNamed(self.vehicle)
+        return kind.Make(self.speed, self.turn_radius, self.parameters, self.gains)
+
+    def check_supervised(self) -> None:
+        """Raises ConfigurationError unless the vehicle can be told to slow down and to stop."""
+        if not self.craft.can_rest:
+            raise ConfigurationError(
+                f"tours and routes are for quadrotors: a {self.vehicle} can neither slow down "
+                "nor stop"
             )
 
     def along(self, field: GuidingField, reference: ReferencePath, piece: int) -> "FlightSpec":
@@ -203,36 +226,24 @@ def flown_pieces(field: GuidingField, reference: ReferencePath) -> list[int]:
     return pieces
 
 
-@dataclass(frozen=True)
-class Feasibility:
-    """Whether the thrust allows a speed on the path.
-
-    Attributes:
-        demand: Largest speed^2 |J m| on the path, m/s^2: the acceleration of a vehicle
-            that moves exactly along the field.
-        limit: Horizontal acceleration that the thrust allows in level flight, m/s^2.
-    """
-
-    demand: float
-    limit: float
-
-    @property
-    def is_feasible(self) -> bool:
-        """Whether the demand stays below the limit."""
-        return self.demand < self.limit
-
-
 def check_feasibility(
-    field: GuidingField, reference: ReferencePath, speed: float, parameters: QuadrotorParameters
+    field: GuidingField,
+    reference: ReferencePath,
+    speed: float,
+    vehicle: QuadrotorParameters | Vehicle,
+    disturbance: Disturbance | None = None,
 ) -> Feasibility:
-    """Compares the acceleration that the path demands with what the thrust allows.
+    """Compares what the path demands of a vehicle with what it can give.
 
     The demand is that of the field as it is flown; see `systems.FieldForSpeed`.
+
+    Raises:
+        ConfigurationError: If the vehicle cannot follow the path at all.
     """
-    points = np.concatenate([piece.sample(DEMAND_SAMPLES) for piece in reference.pieces])
-    m, J = FieldForSpeed(field, speed).value_and_jacobian(points)
-    turning = np.linalg.norm(np.einsum("nij,nj->ni", J, m), axis=1)
-    return Feasibility(speed**2 * float(turning.max()), parameters.max_horizontal_acceleration)
+    if not isinstance(vehicle, Vehicle):
+        vehicle = Quadrotor(vehicle)
+    points = [piece.sample(DEMAND_SAMPLES) for piece in reference.pieces]
+    return vehicle.CheckFeasibility(field, points, speed, disturbance)
 
 
 def check_branches(
@@ -289,7 +300,7 @@ def simulate(
     scene: FlightScene | None = None,
     progress: Progress = no_progress,
 ) -> SimulatedFlight:
-    """Flies from a hover beside a piece of a path until the duration of a spec has passed.
+    """Flies from a start beside a piece of a path until the duration of a spec has passed.
 
     Args:
         field: The field, in metres; planar or spatial.
@@ -313,22 +324,25 @@ def simulate(
             control.
         NonFiniteValueError: If a value in the loop became NaN or infinite.
     """
+    craft = spec.craft
+    craft.CheckGuided(field.dim, spec.speed)
     if not isinstance(field, DirectedField):
         spec = spec.along(field, reference, piece)
         if feasibility is None:
-            feasibility = check_feasibility(field, reference, spec.speed, spec.parameters)
+            feasibility = check_feasibility(
+                field, reference, spec.speed, craft, spec.disturbance
+            )
     assert spec.start is not None
     assert spec.duration is not None
     assert feasibility is not None
     diagram = MakeFlightDiagram(
         field,
-        spec.parameters,
+        craft,
         speed=spec.speed,
         altitude=spec.altitude,
         log_period=LOG_PERIOD,
         sensors=spec.sensors,
         disturbance=spec.disturbance,
-        gains=spec.gains,
         supervisor=supervisor,
         heading=None if spec.heading is None else _heading_system(spec.heading),
         lyapunov=lyapunov,
@@ -337,9 +351,12 @@ def simulate(
     )
     simulator = MakeSimulator(diagram)
     context = simulator.get_mutable_context()
-    SetHover(diagram, context, spec.start)
+    start = craft.StartState(np.array(spec.start), field, spec.disturbance)
+    SetVehicleState(diagram, context, start)
+    loop: Any = diagram.GetSubsystemByName("guidance_loop")
+    if is_over is None and not craft.can_rest and not reference.closed[piece]:
+        is_over = partial(_is_past_end, loop, craft.velocity, spec.speed)
     if heading is not None:
-        loop: Any = diagram.GetSubsystemByName("guidance_loop")
         guidance = loop.guidance
         guidance.SetHeading(guidance.GetMyMutableContextFromRoot(context), heading)
     SetNoiseSeed(diagram, context, spec.seed)
@@ -357,7 +374,7 @@ def simulate(
         else:
             over = _advance_until(simulator, is_over, rest, spec.duration, progress)
         wall_s = time.perf_counter() - begin
-    log = flight_log(diagram, context)
+    log = flight_log(diagram, context, craft)
     log["cross_track_error"] = reference.project(positions_of(log, field.dim)).distance
     left = None if watch is None else watch.exit
     return SimulatedFlight(log, wall_s, over, left, feasibility)
@@ -383,6 +400,14 @@ def _lost_control_named(where: str, speed: float, feasibility: Feasibility) -> I
         ) from error
 
 
+def _is_past_end(loop: Any, velocity: slice, speed: float, context: Context) -> bool:
+    """Tells from the root Context whether a vehicle has just passed an end of its path."""
+    own = loop.GetMyContextFromRoot(context)
+    command = loop.GetOutputPort("velocity_command").Eval(own)[:2]
+    ahead = loop.GetOutputPort("measured_state").Eval(own)[velocity][:2]
+    return bool(np.hypot(*command) < SLOWED * speed and command @ ahead < 0)
+
+
 def _advance_until(
     simulator: Simulator,
     is_over: Callable[[Context], bool],
@@ -401,24 +426,28 @@ def _advance_until(
     return False
 
 
-def flight_log(diagram: Diagram, context: Context) -> pd.DataFrame:
+def flight_log(
+    diagram: Diagram, context: Context, vehicle: Vehicle | None = None
+) -> pd.DataFrame:
     """Returns what the logs of a flight diagram hold, as one table of one row a sample.
 
     Its columns are the time (s), the state (x ... yaw_rate, SI), the velocity command (m/s)
-    and the propeller forces (N); with a supervisor its mode and branch, and with a directed
-    field the edge in use and the arc length on the itinerary (m); and with a Lyapunov function
-    V and V_dot (1/s).
+    and the propeller forces (N), or state and actuation of another vehicle; with a supervisor
+    its mode and branch, and with a directed field the edge in use and the arc length on the
+    itinerary (m); and with a Lyapunov function V and V_dot (1/s).
 
     Args:
         diagram: From `systems.MakeFlightDiagram`, with logs.
         context: The Context of the diagram.
+        vehicle: What flew; None: a quadrotor.
     """
+    flown = vehicle or Quadrotor()
     times, _ = read_log(diagram, context, "state_log")
     tables = [pd.DataFrame({"time": times})]
     for name, columns in (
-        ("state", STATE_COLUMNS),
+        ("state", flown.state_columns),
         ("velocity_command", COMMAND_COLUMNS),
-        ("propeller_force", FORCE_COLUMNS),
+        (flown.actuation, flown.actuation_columns),
         ("mode", ("mode",)),
         ("branch", ("branch",)),
         ("edge", ("edge",)),

@@ -1,4 +1,4 @@
-"""Fly Drake's quadrotor along every piece of a path, and measure how well."""
+"""Fly a vehicle along every piece of a path, and measure how well."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from sgvf_drake.arrays import FloatArray
 from sgvf_drake.experiments.flight import (
-    FORCE_COLUMNS,
     TAKE_OFF_S,
-    Feasibility,
     FlightSpec,
+    SimulatedFlight,
     flown_pieces,
     positions_of,
     simulate,
@@ -22,8 +22,9 @@ from sgvf_drake.fields import GuidingField
 from sgvf_drake.metrics import REACH_DISTANCE, FollowMetrics, follow_metrics
 from sgvf_drake.paths import ReferencePath
 from sgvf_drake.progress import Progress, no_progress
+from systems import Feasibility, Quadrotor
 
-# A propeller this close to a limit, relative to the limit, is saturated.
+# An actuation this close to a limit, relative to the limit, is saturated.
 SATURATION_MARGIN = 1e-6
 # Figures of which the largest of all pieces is told.
 WORST = (
@@ -65,24 +66,29 @@ class FlightResult:
         """Returns the worst of the pieces, and each of them under `pieces`.
 
         The laps are those of the closed pieces, null where there are none; `ended` tells
-        whether the flights along all open pieces came to rest at the end, null where there
-        are none.
+        whether the flights along all open pieces came to the end, and to rest there if the
+        vehicle can, null where there are none.  Of a vehicle that only turns, what belongs to
+        propellers and altitude is null, and there is the curvature in place of acceleration.
         """
         pieces = [flight.summary for flight in self.flights]
         laps = [piece["laps"] for piece in pieces if not piece["open"]]
         ended = [piece["ended"] for piece in pieces if piece["open"]]
         speeds = [piece["speed_mean_m_s"] for piece in pieces]
         worst = {name: [piece[name] for piece in pieces] for name in WORST}
+        craft = self.spec.craft
+        forces = craft.actuation_limits[1] if isinstance(craft, Quadrotor) else None
         return {
+            "vehicle": self.spec.vehicle,
             **{name: None if None in all_ else max(all_) for name, all_ in worst.items()},
             "speed_mean_m_s": max(speeds, key=lambda speed: abs(speed - self.spec.speed)),
             "speed_command_m_s": self.spec.speed,
-            "motor_force_limit_n": self.spec.parameters.max_propeller_force,
+            "motor_force_limit_n": forces,
             "laps": min(laps, default=None),
             "ended": all(ended) if ended else None,
             "real_time_factor": min(piece["real_time_factor"] for piece in pieces),
-            "acceleration_demand_m_s2": self.feasibility.demand,
-            "acceleration_limit_m_s2": self.feasibility.limit,
+            "acceleration_demand_m_s2": None,
+            "acceleration_limit_m_s2": None,
+            **self.feasibility.figures(),
             "pieces": pieces,
         }
 
@@ -96,10 +102,10 @@ def fly(
     scene: FlightScene | None = None,
     **options: Any,
 ) -> FlightResult:
-    """Flies the quadrotor along every piece, each from an off-path hover.
+    """Flies a vehicle along every piece, each from a start off the path.
 
     An open piece is flown once, from its start to the end at which the field comes to rest,
-    and has time for that.
+    and has time for that.  A vehicle that cannot rest is watched until it is there.
 
     Args:
         field: The field, in metres; planar or spatial.
@@ -111,7 +117,8 @@ def fly(
 
     Raises:
         ConfigurationError: If a value cannot be used, if the field is neither planar nor
-            spatial, if the reference is too short to be meant, or if the vehicle lost control.
+            spatial, if the reference is too short to be meant, if the vehicle cannot follow
+            it, or if it lost control.
         NonFiniteValueError: If a value in the loop became NaN or infinite.
     """
     spec = replace(spec or FlightSpec(), **options)
@@ -121,52 +128,65 @@ def fly(
     flights = []
     for piece in pieces:
         flown = simulate(field, reference, spec, piece, scene=scene, progress=progress)
-        summary = _summary(flown.log, field, reference, piece, spec)
+        summary = _summary(flown, field, reference, piece, spec)
         summary["real_time_factor"] = summary["duration_s"] / flown.wall_s
         flights.append(PieceFlight(piece, flown.log, summary))
     return FlightResult(flights, flown.feasibility, spec)
 
 
 def _summary(
-    log: pd.DataFrame,
+    flown: SimulatedFlight,
     field: GuidingField,
     reference: ReferencePath,
     piece: int,
     spec: FlightSpec,
 ) -> dict[str, Any]:
     """Returns the figures of a flight along a piece by the names of `summary.json`."""
+    log, craft, unit = flown.log, spec.craft, field.cloud.unit_length
     times = log["time"].to_numpy(dtype=np.float64)
     metrics = follow_metrics(
         times,
         positions_of(log, field.dim)[:, None, :],
-        field.cloud.unit_length,
+        unit,
         field.cloud.box,
         reference,
         spec.speed,
         ends=field.ends,
     )
     errors, closed = metrics.summary(), bool(reference.closed[piece])
-    measured = _measured(log, metrics, field.cloud.unit_length)
-    altitude_error = measured["z"] - spec.altitude if field.dim == 2 else np.array([np.nan])
-    forces, limit = log[list(FORCE_COLUMNS)].to_numpy(), spec.parameters.max_propeller_force
-    margin = SATURATION_MARGIN * limit
-    saturated = np.any((forces <= margin) | (forces >= limit - margin), axis=1)
-    return {
+    measured = _measured(log, metrics, unit)
+    if flown.is_over:
+        measured = _way_to_end(log, reference.pieces[piece].vertices[[0, -1]], unit)
+        error = measured["cross_track_error"].to_numpy()
+        errors |= {"cross_track_rms": _rms(error), "cross_track_max": float(error.max())}
+    actuation, (lowest, highest) = log[list(craft.actuation_columns)], craft.actuation_limits
+    margin = SATURATION_MARGIN * highest
+    saturated = ((actuation <= lowest + margin) | (actuation >= highest - margin)).any(axis=1)
+    summary = {
         "piece": piece,
         "cross_track_rms_m": errors["cross_track_rms"],
         "cross_track_max_m": errors["cross_track_max"],
         "speed_mean_m_s": float(np.linalg.norm(velocities_of(measured), axis=1).mean()),
         "speed_command_m_s": spec.speed,
-        "altitude_rms_m": float(np.sqrt((altitude_error**2).mean())),
-        "motor_force_max_n": float(forces.max()),
+        "altitude_rms_m": None,
+        "motor_force_max_n": None,
         "saturated_fraction": float(saturated.mean()),
         "saturated_fraction_after_take_off": float(saturated[times > TAKE_OFF_S].mean()),
         "duration_s": float(times[-1]),
         "start_m": positions_of(log, 3)[0].tolist(),
         "open": not closed,
         "laps": abs(float(metrics.laps[0])) if closed else None,
-        "ended": None if closed else bool(metrics.ended[0] and metrics.piece[0] == piece),
+        "ended": None if closed else flown.is_over or _came_to_rest(metrics, piece),
     }
+    if isinstance(craft, Quadrotor):
+        above = measured["z"].to_numpy() - spec.altitude
+        summary["altitude_rms_m"] = _rms(above) if field.dim == 2 else np.nan
+        summary["motor_force_max_n"] = float(actuation.to_numpy().max())
+    return summary
+
+
+def _came_to_rest(metrics: FollowMetrics, piece: int) -> bool:
+    return bool(metrics.ended[0] and metrics.piece[0] == piece)
 
 
 def _measured(log: pd.DataFrame, metrics: FollowMetrics, unit_length: float) -> pd.DataFrame:
@@ -177,5 +197,22 @@ def _measured(log: pd.DataFrame, metrics: FollowMetrics, unit_length: float) -> 
     samples = max(int(metrics.samples[0]), 1)
     if not metrics.ended[0]:
         return log.tail(samples)
+    return _since_reach(log, unit_length).head(samples)
+
+
+def _way_to_end(log: pd.DataFrame, ends: FloatArray, unit_length: float) -> pd.DataFrame:
+    """Returns the rows from the first reach on to the place nearest to the end just passed."""
+    places = positions_of(log, ends.shape[1])
+    passed = ends[np.argmin(np.linalg.norm(ends - places[-1], axis=1))]
+    arrival = int(np.argmin(np.linalg.norm(places - passed, axis=1)))
+    return _since_reach(log.head(arrival + 1), unit_length)
+
+
+def _since_reach(log: pd.DataFrame, unit_length: float) -> pd.DataFrame:
     reached = log["cross_track_error"].to_numpy() <= REACH_DISTANCE * unit_length
-    return log.iloc[int(np.argmax(reached)) :].head(samples)
+    return log.iloc[int(np.argmax(reached)) :]
+
+
+def _rms(values: FloatArray) -> float:
+    """Returns the root mean square."""
+    return float(np.sqrt((values**2).mean()))

@@ -16,7 +16,6 @@ from sgvf_drake.experiments.flight import (
     LOG_PERIOD,
     REST_S,
     TAKE_OFF_S,
-    Feasibility,
     FlightSpec,
     check_branches,
     positions_of,
@@ -33,7 +32,7 @@ from sgvf_drake.paths.itinerary import Itinerary
 from sgvf_drake.paths.planning import covering, shortest
 from sgvf_drake.paths.sections import END, sections
 from sgvf_drake.progress import Progress, no_progress
-from systems import BranchAlong, BranchSupervisor, Mode
+from systems import BranchAlong, BranchSupervisor, Feasibility, Mode
 from systems.branches import STOPPING_TIME
 
 # Errors within this many sigma of a node that is turned at are those of the turn.
@@ -149,6 +148,7 @@ def fly_route(
         NonFiniteValueError: If a value in the loop became NaN or infinite.
     """
     spec = replace(spec or FlightSpec(laps=1.0), **options)
+    spec.check_supervised()
     if field.dim not in (2, 3):
         raise ConfigurationError(
             f"a vehicle needs a field of dimension 2 or 3, not {field.dim}"

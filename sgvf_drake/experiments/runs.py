@@ -242,7 +242,7 @@ def run_fly(
     overwrite: bool = False,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
-    """Flies the quadrotor along every piece; leaves logs, a figure a piece, the summary.
+    """Flies a vehicle along every piece; leaves logs, a figure a piece, the summary.
 
     With a `view` with pages there is one for each piece.  With a certificate the velocity
     error is held against it, which adds a figure and a block of the summary.
@@ -253,7 +253,7 @@ def run_fly(
     files = (SUMMARY, CERTIFICATE_FIGURE, *names)
     with result_folder(out, files, overwrite=overwrite) as folder:
         result = fly(field, path, spec, progress=progress, scene=view.scene(folder))
-        flown = FieldForSpeed(field, spec.speed)
+        flown = spec.craft.FlownField(field, spec.speed)
         for flight in result.flights:
             stem = folder / f"flight_{flight.piece + 1}"
             flight.log.to_parquet(stem.with_suffix(".parquet"))

@@ -17,7 +17,6 @@ from sgvf_drake.experiments.flight import (
     START_OFFSET,
     TAKE_OFF_S,
     WAY_IN,
-    Feasibility,
     FlightSpec,
     check_branches,
     check_feasibility,
@@ -31,7 +30,14 @@ from sgvf_drake.fields import DirectedField, FloatArray, GuidingField
 from sgvf_drake.metrics import REACH_DISTANCE, REST_WINDOW
 from sgvf_drake.paths import ReferencePath
 from sgvf_drake.progress import Progress, no_progress
-from systems import Branch, BranchSupervisor, MakeBranches, Mode, QuadrotorParameters
+from systems import (
+    Branch,
+    BranchSupervisor,
+    Feasibility,
+    MakeBranches,
+    Mode,
+    QuadrotorParameters,
+)
 from systems.branch_supervisor import ACCELERATION_SHARE
 from systems.supervision import Memory
 
@@ -112,6 +118,7 @@ def fly_tour(
         NonFiniteValueError: If a value in the loop became NaN or infinite.
     """
     spec = replace(spec or FlightSpec(laps=1.0), **options)
+    spec.check_supervised()
     pieces, branches = _branches_of(field, reference)
     stops = [_stop(pieces, piece) for piece in tour]
     if not stops:

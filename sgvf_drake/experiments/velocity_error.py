@@ -30,7 +30,7 @@ from sgvf_drake.fields import Field, GuidingField
 from sgvf_drake.lyapunov import LyapunovFunction, Margins
 from sgvf_drake.paths import ReferencePath
 from sgvf_drake.progress import Progress, no_progress
-from systems import FieldForSpeed, SublevelExit
+from systems import SublevelExit
 
 NOT_COVERED = (
     "the take-off and the way to the tube: a vehicle that stands is in error by all of its "
@@ -222,7 +222,7 @@ def flight_tracking(
         flown = simulate(
             field, reference, spec, piece, lyapunov=function, level=level, progress=progress
         )
-        error = velocity_error(flown.log, FieldForSpeed(field, speed), speed)
+        error = velocity_error(flown.log, spec.craft.FlownField(field, speed), speed)
         settled = np.logical_or.accumulate(flown.log["V"].to_numpy() <= c_in)
         flights.append(
             VelocityErrors(piece, flown.log.assign(error=error), settled, flown.exit)

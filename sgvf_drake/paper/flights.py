@@ -10,7 +10,7 @@ import pandas as pd
 
 from sgvf_drake.exceptions import ConfigurationError, SgvfError
 from sgvf_drake.experiments.figures.runs import tour_figure
-from sgvf_drake.experiments.flight import FORCE_COLUMNS, TAKE_OFF_S, Feasibility
+from sgvf_drake.experiments.flight import FORCE_COLUMNS, TAKE_OFF_S
 from sgvf_drake.experiments.tour import TourResult, fly_tour
 from sgvf_drake.experiments.workbench import Row, Workbench
 from sgvf_drake.fields import load_guiding_field
@@ -20,7 +20,7 @@ from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
 from sgvf_drake.paper.intervals import interval_columns, over_seeds
 from sgvf_drake.paper.training import trained
 from sgvf_drake.paths import make_shape, shape_path
-from systems import FieldForSpeed, QuadrotorParameters, SensorParameters
+from systems import Feasibility, FieldForSpeed, QuadrotorParameters, SensorParameters
 
 FIELD, LOG = "field.safetensors", "flight.parquet"
 MM = 1e3

@@ -158,7 +158,7 @@ MISUSE = {
         lambda: twice("guidance_loop"),
         r"a system 'guidance_loop' already: choose another `name`",
     ),
-    "a second loop": (lambda: twice("second"), "'plant' are commanded already"),
+    "a second loop": (lambda: twice("second"), "'plant' is commanded already"),
     "a plant of another builder": (
         lambda: AddGuidance(DiagramBuilder(), ONE_RING, place()[1]),
         "'plant' is not in the builder",

@@ -32,6 +32,7 @@ from systems import (
     Body,
     Branch,
     BranchSupervisor,
+    CourseController,
     Disturbance,
     DisturbedQuadrotor,
     Dropout,
@@ -48,6 +49,9 @@ from systems import (
     MotionCapture,
     MultibodyQuadrotor,
     MultibodyQuadrotorSdf,
+    PlanarVehicle,
+    PlanarVehicleInWind,
+    PlanarVehicleParameters,
     QuadrotorGeometry,
     QuadrotorInPlant,
     QuadrotorParameters,
@@ -185,7 +189,7 @@ EAST_THEN_NORTH = Itinerary.along(
 # Constructor arguments are nowhere the defaults, so that a forgotten one shows.
 CASES = {
     "GuidanceSystem": Case(
-        lambda field: GuidanceSystem(field, 0.3, 1.4, feedforward=False),
+        lambda field: GuidanceSystem(field, 0.3, 1.4, False, 3.9),
         "field",
         MOTION,
         # The field is about 0.1 m wide, which 0.9 m/s widens and 0.3 m/s does not.
@@ -208,6 +212,22 @@ CASES = {
             "Gains": DEFAULT_GAINS._replace(damping_ratio=0.8, disturbance_bandwidth=5.0),
             "Body": Body(0.6, 5e-4, 7e-4, 9e-4),
         },
+    ),
+    "PlanarVehicle": Case(
+        lambda _: PlanarVehicle(PlanarVehicleParameters(2.0, 1.5, 0.3)),
+        "nothing",
+        {"turn_rate": np.array([0.3]), "wind": np.array([0.2, -0.4, 0.1])},
+        {},
+        counts=False,
+        # It turns the vehicle later.
+        idle=("turn_rate",),
+    ),
+    "CourseController": Case(
+        lambda _: CourseController(PlanarVehicleParameters(2.0, 1.5, 0.3), 0.8),
+        "nothing",
+        {"state": np.array([3.3, 2.9, 1.1, 0.4, 1.5, 0.9, 0.1]), **COMMANDS},
+        {"Gain": 1.1},
+        counts=False,
     ),
     "KinematicGuidance": Case(
         lambda field: KinematicGuidance(field, 2, 0.3),
@@ -303,6 +323,9 @@ PLAIN = {
     ),
     "IdealMotionCapture": IdealMotionCapture,
     "MotionCapture": lambda: MotionCapture(SensorParameters()),
+    "PlanarVehicleInWind": lambda: PlanarVehicleInWind(
+        PlanarVehicleParameters(2.0, 1.5), Disturbance()
+    ),
     "MultibodyQuadrotor": MultibodyQuadrotor,
     "QuadrotorInPlant": quadrotor_in_plant,
     "QuadrotorGeometry": lambda: QuadrotorGeometry(FrameId.get_new_id()),

@@ -15,7 +15,7 @@ from sgvf_drake.experiments.follow import FollowResult
 from sgvf_drake.experiments.route import RouteResult
 from sgvf_drake.experiments.tour import TourResult
 from sgvf_drake.fields import DirectedField, Field, GuidingField
-from systems import Mode
+from systems import Mode, Quadrotor, Vehicle
 
 # Behind the times of a transfer.
 SHADE = "#f3d9b1"
@@ -77,21 +77,22 @@ def follow_figure(field: GuidingField | DirectedField, result: FollowResult) -> 
 def flight_figure(
     field: Field, cloud: PointCloud, flight: PieceFlight, result: FlightResult
 ) -> Figure:
-    """Returns one flight: trajectory, error, velocity and propeller forces (paper, Fig. 3).
+    """Returns one flight: trajectory, error, velocity and actuation (paper, Fig. 3).
 
     `field` is the field as it was flown; see `systems.FieldForSpeed`.
     """
-    limit = result.spec.parameters.max_propeller_force
-    figure, axes = _flight_panels(field, cloud, flight.log, limit, zoom=False)
-    plotting.plane_axes(axes[0], "m", "flight from a hover beside the path")
+    craft = result.spec.craft
+    figure, axes = _flight_panels(field, cloud, flight.log, craft, zoom=False)
+    start = "a hover" if craft.can_rest else "a start"
+    plotting.plane_axes(axes[0], "m", f"flight from {start} beside the path")
     _plane_legend(axes[0], transfers=False)
     return figure
 
 
 def tour_figure(field: Field, cloud: PointCloud, result: TourResult) -> Figure:
     """Returns the same of a tour, with its transfers in another colour (paper, Fig. 3)."""
-    log, limit = result.log, result.parameters.max_propeller_force
-    figure, axes = _flight_panels(field, cloud, log, limit, zoom=True)
+    log = result.log
+    figure, axes = _flight_panels(field, cloud, log, Quadrotor(result.parameters), zoom=True)
     flies = log["mode"] == Mode.TRANSFER
     away = log[["x", "y"]].where(flies)
     axes[0].plot(away["x"], away["y"], color=plotting.ORANGE, linewidth=2.2)
@@ -109,8 +110,8 @@ def tour_figure(field: Field, cloud: PointCloud, result: TourResult) -> Figure:
 
 def route_figure(field: DirectedField, result: RouteResult) -> Figure:
     """Returns the same of a flight along an itinerary, over the network."""
-    limit = result.spec.parameters.max_propeller_force
-    figure, axes = _flight_panels(field, field.cloud, result.log, limit, zoom=True)
+    craft = result.spec.craft
+    figure, axes = _flight_panels(field, field.cloud, result.log, craft, zoom=True)
     edges = ", ".join(str(number) for number in result.itinerary.edges[:MOST_EDGES])
     more = ", ..." if len(result.itinerary.edges) > MOST_EDGES else ""
     plotting.plane_axes(axes[0], "m", f"route {edges}{more}")
@@ -119,9 +120,9 @@ def route_figure(field: DirectedField, result: RouteResult) -> Figure:
 
 
 def _flight_panels(
-    field: Field, cloud: PointCloud, log: pd.DataFrame, force_limit: float, zoom: bool
+    field: Field, cloud: PointCloud, log: pd.DataFrame, craft: Vehicle, zoom: bool
 ) -> tuple[Figure, list[Axes]]:
-    """Returns a figure of the plane, the error, the velocity and the forces of a flight."""
+    """Returns a figure of the plane, the error, the velocity and the actuation of a flight."""
     figure, axes = plotting.new_figure(2, 2, 12, 8.5)
     if field.dim == 2:
         _plot_behind(axes[0], field, cloud)
@@ -130,7 +131,11 @@ def _flight_panels(
     errors = log["cross_track_error"].to_numpy()[:, None]
     plotting.plot_cross_track(axes[1], log["time"].to_numpy(), errors, "m")
     plotting.plot_velocity(axes[2], log)
-    plotting.plot_propeller_forces(axes[3], log, force_limit, zoom=zoom)
+    limit = craft.actuation_limits[1]
+    if isinstance(craft, Quadrotor):
+        plotting.plot_propeller_forces(axes[3], log, limit, zoom=zoom)
+    else:
+        plotting.plot_turn_rate(axes[3], log, limit)
     return figure, axes
 
 

@@ -3,6 +3,7 @@
 from dataclasses import asdict
 import json
 import math
+import re
 import shutil
 
 import numpy as np
@@ -157,6 +158,31 @@ def test_nothing_is_flown_at_the_ground_or_below_in_silence(
     assert warnings == ([] if lowest is None else [expected])
 
 
+@pytest.mark.parametrize(
+    ("vehicle", "scale", "options"),
+    [
+        ("unicycle", SCALE, ("--turn-radius", 0.3)),
+        ("fixed-wing", 10.0, ("--turn-radius", 8, "--wind", "5,0")),
+    ],
+)
+def test_a_vehicle_is_chosen_by_its_name(
+    run, inputs, tmp_path, capsys, vehicle, scale, options
+):
+    out = tmp_path / "out"
+    path = ("--reference", inputs / "circle.csv", "--scale", scale, "--laps", 1)
+    flight = ("fly", inputs / "field.safetensors", *path, "--vehicle", vehicle, *options)
+    assert run(*flight, "--out", out) == 0
+    printed = capsys.readouterr().out
+    assert re.search(r"curvature \S+ of \S+ 1/m: feasible", printed)
+    assert names_in(out) == {"flight_1.parquet", "flight_1.png", "summary.json"}
+    summary, log = summary_of(out), pd.read_parquet(out / "flight_1.parquet")
+    assert summary["vehicle"] == vehicle
+    assert summary["speed_command_m_s"] == {"unicycle": 0.45, "fixed-wing": 15.0}[vehicle]
+    assert summary["cross_track_rms_m"] < 0.02 * scale
+    assert "heading" in log
+    assert 0.005 < ink(out / "flight_1.png") < 0.9
+
+
 BAD = {
     "unknown piece": (("--tour", "1,3"), "no piece 3 to fly (there are 1, 2)"),
     "no list": (("--tour", "1,two"), "--tour 1,two is no list of pieces, as 1,2,1 is"),
@@ -175,6 +201,24 @@ BAD = {
         ("--meshcat", "--tube", "{inputs}/other"),
         "other is the verification of another field",
     ),
+    "no vehicle": (("--vehicle", "boat"), "there is no vehicle 'boat'; there are quadrotor"),
+    "wind on the ground": (
+        ("--vehicle", "unicycle", "--wind", "1,0"),
+        "a unicycle stands on the ground: no wind moves it",
+    ),
+    "wind too strong": (
+        ("--vehicle", "fixed-wing", "--scale", 50, "--wind", "16,0"),
+        "wind of 16 m/s blows a fixed wing away that flies at 15 m/s",
+    ),
+    "too small a path": (
+        ("--vehicle", "fixed-wing"),
+        "a fixed wing with a turn radius of 32.8 m cannot follow the path",
+    ),
+    "a tour that turns": (("--vehicle", "unicycle", "--tour", "1"), "can neither slow down"),
+    "sensors that turn": (("--vehicle", "unicycle", "--sensors"), "those of a quadrotor"),
+    "nothing to make up for": (("--vehicle", "unicycle", "--compensate"), "no gains to set"),
+    "a page that turns": (("--vehicle", "unicycle", "--html"), "show quadrotors only"),
+    "a quadrotor that turns": (("--turn-radius", 1), "it has no turn radius to choose"),
     "no tube": (("--html", "--tube", "{inputs}/no_tube"), "no_tube found no tube"),
 }
 

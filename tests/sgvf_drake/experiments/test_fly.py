@@ -205,6 +205,56 @@ def test_a_field_without_the_end_does_not_end(half_circle_field, half_circle):
     assert (summary["ended"], summary["laps"]) == (False, None)
 
 
+# Other vehicles.
+
+
+def test_a_unicycle_has_the_figures_that_it_can_have(flight_field, rings):
+    inner = ReferencePath(rings.pieces[:1])
+    result = fly(flight_field, inner, vehicle="unicycle", laps=1.0)
+    (flight,), summary = result.flights, result.summary()
+    columns = ("time", "x", "y", "z", "heading", "vx", "vy", "vz")
+    assert tuple(flight.log.columns[:8]) == columns
+    assert tuple(flight.log.columns[-2:]) == ("turn_rate", "cross_track_error")
+    assert summary["vehicle"] == "unicycle"
+    for name in ("altitude_rms_m", "motor_force_max_n", "motor_force_limit_n"):
+        assert summary[name] is None
+    assert summary["acceleration_demand_m_s2"] is summary["acceleration_limit_m_s2"] is None
+    assert summary["curvature_limit_1_m"] == pytest.approx(2.0 / 0.45)
+    assert summary["curvature_demand_1_m"] == pytest.approx(1.0, rel=0.1)
+    assert summary["laps"] >= 1.0
+    assert summary["cross_track_rms_m"] < 0.004
+    np.testing.assert_allclose(np.hypot(flight.log["vx"], flight.log["vy"]), 0.45)
+    # It starts along the field as it is flown, where a quadrotor hovers.
+    m = FieldForSpeed(flight_field, 0.45, 4.0)(flight.log[["x", "y"]].to_numpy()[0])
+    direction = m / np.linalg.norm(m)
+    np.testing.assert_allclose(flight.log[["vx", "vy"]].iloc[0], 0.45 * direction)
+
+
+def test_a_vehicle_that_cannot_rest_is_watched_until_it_is_at_the_end(
+    half_circle_field, half_circle
+):
+    result = fly(half_circle_field, half_circle, vehicle="unicycle", speed=2.0, turn_radius=0.5)
+    (flight,), unit = result.flights, half_circle_field.cloud.unit_length
+    log, summary = flight.log, flight.summary
+    assert (summary["ended"], summary["laps"]) == (True, None)
+    assert math.hypot(log["x"].iloc[-1] + 4.0, log["y"].iloc[-1]) < 0.25 * unit
+    assert np.hypot(log["vx"].iloc[-1], log["vy"].iloc[-1]) == pytest.approx(2.0)
+    reach = int(np.argmax(log["cross_track_error"] <= 0.1 * unit))
+    # What it flies beyond the end until it is noticed counts in none.
+    arrival = int(np.argmin(np.hypot(log["x"] + 4.0, log["y"])))
+    assert reach < arrival < len(log) - 1
+    errors = log["cross_track_error"].iloc[reach : arrival + 1]
+    assert summary["cross_track_rms_m"] == pytest.approx(math.sqrt((errors**2).mean()))
+    assert summary["cross_track_max_m"] == errors.max() < 0.1 * unit
+
+
+def test_tours_and_circles_that_are_too_tight_are_refused(flight_field, rings):
+    with pytest.raises(ConfigurationError, match="a unicycle can neither slow down nor stop"):
+        fly_tour(flight_field, rings, [0], vehicle="unicycle")
+    with pytest.raises(ConfigurationError, match="a turn radius of 1"):
+        fly(flight_field, rings, vehicle="unicycle", turn_radius=1.1)
+
+
 # Feasibility.
 
 

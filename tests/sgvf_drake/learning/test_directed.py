@@ -11,12 +11,14 @@ import torch
 from sgvf_drake import certify, enclose_zeros, find_singularities, verify
 from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.experiments.follow import follow_network
 from sgvf_drake.fields import DirectedField, StrandMixture, StrandNetwork, load_field
 from sgvf_drake.learning import TrainingConfig, train
 from sgvf_drake.learning.directed import HeadingNetwork, strand_loss
 from sgvf_drake.learning.route_check import check_directed
 from sgvf_drake.learning.strands import find_strands
 from sgvf_drake.learning.support import SIGMA_DEFAULT, WIDEST_GAP
+from sgvf_drake.passages import straight_on
 from sgvf_drake.paths.finding import find_paths
 from sgvf_drake.paths.itinerary import successors
 from tests.networks import SHAPES, straight_network
@@ -123,9 +125,11 @@ def test_every_edge_and_every_turn_is_driven(name: str) -> None:
     result = train(cloud_of(name), TrainingConfig(recipe="exact"))
     check = result.self_check
     assert check.passed, check.message
-    turns = sum(map(len, successors(result.network).values()))
+    following, ahead = successors(result.network), straight_on(result.network)
+    turns = sum(map(len, following.values()))
+    straight = sum(ahead.get(number) in after for number, after in following.items())
     around = 4 * len(result.network.edges)
-    assert sum(piece.starts for piece in check.pieces) == turns + around
+    assert sum(piece.starts for piece in check.pieces) == turns + straight + around
     assert result.restarts == 0
 
 
@@ -140,6 +144,24 @@ def test_a_field_that_misses_turns_fails_its_check() -> None:
     assert {fault.kind for fault in check.pieces[0].faults} == {"skip"}
     # Without the projection, robots stop on the way.
     assert check_directed(field).passed
+
+
+@pytest.mark.parametrize(("degrees", "kept"), [(30, False), (60, True)])
+def test_who_turns_off_at_a_crossing_without_a_route_fails_the_check(
+    degrees: float, kept: bool
+) -> None:
+    """Noise bends lines where they cross at a small angle, as robots show that follow them."""
+    half = np.radians(degrees / 2)
+    line = 4 * np.linspace(-1, 1, 300)[:, None]
+    lines = [line * [np.cos(half), sign * np.sin(half)] for sign in (1, -1)]
+    noise = 0.02 * np.random.default_rng(0).normal(size=(600, 2))
+    config = TrainingConfig(recipe="exact", max_restarts=0)
+    result = train(PointCloud(np.concatenate(lines) + noise), config)
+    assert isinstance(result.field, DirectedField)
+    driven = follow_network(result.field, 30).summary()["straight_fraction"]
+    assert (driven == 1) == kept
+    faults = [fault.kind for fault in result.self_check.pieces[0].faults]
+    assert set(faults) == (set() if kept else {"turn"})
 
 
 def test_a_field_that_leads_nowhere_is_left() -> None:
