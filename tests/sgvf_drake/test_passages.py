@@ -162,6 +162,10 @@ def test_a_lap_needs_every_edge_in_order_and_near() -> None:
         )
         assert metrics.lapped.tolist() == [lapped]
         assert metrics.summary()["lap_fraction"] == float(lapped)
+        if lapped:
+            # The errors are those of one whole lap.
+            first, until = (times_of(positions)[k[0]] for k in (metrics.first, metrics.until))
+            assert until - first == pytest.approx(route.length, abs=2 * STEP)
     assert metrics.straight_fraction == 1
 
 

@@ -137,6 +137,13 @@ def test_cross_track_of_one_agent_and_of_many(axes):
     assert "[s at unit speed]" in axes.get_xlabel()
 
 
+def test_intervals_reach_from_their_low_to_their_high_end(axes):
+    plotting.plot_intervals(axes, [1.0, 2.0], [(3.0, 2.5, 4.0), (5.0, np.nan, np.nan)])
+    (bars,) = axes.collections
+    expected = [[[1.0, 2.5], [1.0, 4.0]], [[2.0, 5.0], [2.0, 5.0]]]
+    np.testing.assert_allclose(bars.get_segments(), expected)
+
+
 def test_velocity_and_propeller_forces():
     log = pd.DataFrame({"time": TIMES, "vx": np.cos(TIMES), "vy": np.sin(TIMES)})
     for number in (1, 2, 3, 4):

@@ -102,6 +102,22 @@ def test_landing_begins_with_the_climb_rate_that_is_commanded():
     assert memory.velocity[2] == pytest.approx(0.6 * SPEED - 0.005)
 
 
+def test_a_landing_speeds_up_to_its_rate_and_slows_down_at_the_ground():
+    system = BranchSupervisor(TWO_RINGS, RINGS, landing_height=0.2)
+    climb = np.zeros(3)
+    system, context = at_rest(system, **moving(climb), velocity_command=climb)
+    see(system, context)
+    system.GetInputPort("measurement_age").FixValue(context, [9.0])
+    landing = [see(system, context) for _ in range(800)]
+    height, rate = np.array([[m.position[2] - 0.2, m.velocity[2]] for m in landing]).T
+    # 0.5 m/s^2 at samples of 0.01 s, then 0.3 m/s, until the height is less than 1 s of that.
+    np.testing.assert_allclose(rate[:60], -0.005 * np.arange(1, 61))
+    high = height > 0.3
+    np.testing.assert_allclose(rate[high][60:], -0.3)
+    np.testing.assert_allclose(np.diff(height[~high]), -0.01 * height[~high][:-1], rtol=1e-9)
+    assert 0.0 < height[-1] < 0.01
+
+
 @pytest.mark.parametrize(("velocity", "rate"), [(0.0, 0.1 * LIMIT / 12), (12.0, -LIMIT / 12)])
 def test_speed_moves_as_the_thrust_allows(velocity, rate):
     system = BranchSupervisor(ONE_RING, RINGS[:1])

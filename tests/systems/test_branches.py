@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from scipy.interpolate import BPoly
+from scipy.interpolate import BPoly, CubicHermiteSpline
 
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.paths import Piece, ReferencePath
@@ -330,3 +330,16 @@ def test_a_stop_is_straight_steady_and_gentle(speed):
     assert np.linalg.norm(acceleration, axis=1).max() == pytest.approx(peak, rel=1e-4)
     assert peak <= 5.0 + 1e-12
     np.testing.assert_allclose(position[-1] - position[0], v * plan.duration / 2.0)
+
+
+def test_a_stop_takes_up_the_acceleration():
+    start = random_motion(np.random.default_rng(3), 2)
+    plan = PlanStop(start, MAX_ACCELERATION)
+    # The smoothest one: its velocity is the cubic between both ends.
+    velocity = CubicHermiteSpline(
+        [0.0, plan.duration],
+        [start.velocity, np.zeros(2)],
+        [start.acceleration, np.zeros(2)],
+    )
+    for time in plan.duration * np.linspace(0.0, 1.0, 9):
+        np.testing.assert_allclose(plan.Eval(time).velocity, velocity(time), atol=1e-12)

@@ -5,7 +5,16 @@ from pydrake.systems.analysis import Simulator
 import pytest
 
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
-from systems import KinematicGuidance, MakeKinematicDiagram, MakeSimulator, SetPositions
+from sgvf_drake.paths.itinerary import Itinerary
+from sgvf_drake.paths.navigator import Navigator
+from systems import (
+    KinematicGuidance,
+    MakeKinematicDiagram,
+    MakeSimulator,
+    RouteNavigator,
+    SetPositions,
+)
+from tests.networks import straight_network
 
 
 def follow(field, starts, duration=2.0, **options):
@@ -81,6 +90,17 @@ def test_agent_that_meets_nan_is_named_with_the_time():
     message = r"::kinematic::guidance: the velocity of agent 2 .*t = 0\.[45]\d* s"
     with pytest.raises(NonFiniteValueError, match=message):
         simulator.AdvanceTo(2.0)
+
+
+def test_a_navigator_names_the_agent_that_is_nowhere():
+    network = straight_network([[0.0, 0.0], [4.0, 0.0], [4.0, 4.0]], [(0, 1), (1, 2)])
+    navigator = Navigator(Itinerary.parse("1,2", network), network.sigma)
+    system = RouteNavigator(navigator, 2, period=0.05)
+    context = system.CreateDefaultContext()
+    states = [1.0, 0.0, 1.0, 0.0, 1.0, math.nan, 1.0, 0.0]
+    system.get_input_port().FixValue(context, states)
+    with pytest.raises(NonFiniteValueError, match=r"the position of agent 1 .* t = 0 s"):
+        system.EvalUniquePeriodicDiscreteUpdate(context)
 
 
 def test_bad_arguments_and_positions_are_refused(circle_field):

@@ -102,6 +102,8 @@ def test_fly(run, inputs, tmp_path, capsys):
     # Brackets are markup to Rich, which would swallow the units.
     assert "[m/s]" in shown
     assert "[m]" in shown
+    rows = [line.split("│") for line in shown.splitlines() if line.startswith("│")]
+    assert [row[1].strip() for row in rows] == ["1", "2"]
 
 
 def test_the_flight_of_an_open_path(run, half_circle_field, tmp_path, capsys):

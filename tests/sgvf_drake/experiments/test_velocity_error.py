@@ -113,6 +113,9 @@ def test_the_error_is_covered_by_the_margin(tracked):
     assert (within["V_dot"][falling] < 0.0).all()
     over_time, over_V = tracking_figure(tracked).axes
     assert len(over_time.get_lines()[0].get_ydata()) == len(log)
+    # Both are parts of the speed.
+    tolerated = over_time.get_lines()[-1].get_ydata()
+    np.testing.assert_allclose(tolerated, tracked.margins.at(LEVEL))
     assert sum(len(line.get_ydata()) for line in over_V.get_lines()[1:4]) == len(log)
 
 

@@ -197,6 +197,16 @@ def test_an_open_path_is_followed_from_its_start_to_rest_at_its_end():
         assert kinds(piece) <= {kind, "split"}
 
 
+def test_the_place_of_a_fault_is_in_the_unit_of_the_waypoints():
+    line = PointCloud(np.column_stack([np.linspace(1000, 9000, 60), np.zeros(60)]))
+    value = along_a_line(end=1.0)
+    east = np.array([[9000.0, 0.0]])
+    stopped = Stand(line, lambda x: value((x - [5000.0, 0.0]) / 1000), ends=east)
+    (piece,) = check_field(stopped).pieces
+    (stall,) = (fault.point for fault in piece.faults if fault.kind == "stall")
+    np.testing.assert_allclose(stall, [6000, 0], atol=100)
+
+
 def test_only_the_pieces_that_were_learned_are_asked(cloud):
     circle, _ = make_shape("circle")
     strays = PointCloud(np.vstack([circle.points, [[6.0, 6.0], [-6.0, 6.0]]]))

@@ -34,6 +34,8 @@ def test_around_a_ring_it_is_an_annulus(level):
     assert found.area == pytest.approx(2 * np.pi * 3.0 * 2 * width, rel=0.03)
     # To a cell, and to the curvature of the ring.
     assert found.half_width == pytest.approx(width, abs=width / 12 + 0.1 / 24 + 0.002)
+    # The middles of its cells are in the set.
+    assert found.half_width <= width + 0.002
     assert found.compact
     assert found.follows(path.closed)
 

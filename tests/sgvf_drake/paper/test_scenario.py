@@ -45,6 +45,17 @@ def test_every_quick_case_is_measured_drawn_and_told(name, tmp_path, run_kind):
     assert found.verdicts
 
 
+@pytest.mark.parametrize("overrides", [[], [QUICK]])
+@pytest.mark.parametrize("name", scenario_names())
+def test_the_options_of_every_scenario_can_be_used(name, overrides, tmp_path, monkeypatch):
+    def begin(*_):
+        raise RuntimeError("the work begins")
+
+    monkeypatch.setattr(Workbench, "run", begin)
+    with pytest.raises(RuntimeError, match="the work begins"):
+        load_scenario(name, overrides).experiment.measure(Workbench(tmp_path))
+
+
 def test_every_kind_has_a_scenario():
     used = {type(load_scenario(name).experiment) for name in scenario_names()}
     assert used == set(KINDS)

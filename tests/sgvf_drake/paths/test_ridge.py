@@ -31,6 +31,14 @@ def test_the_ridge_of_a_circle(sigma):
     )
 
 
+def test_points_climb_across_a_line_that_grows_denser():
+    x = np.linspace(-4, 4, 400)
+    line = np.column_stack([x, np.zeros(400)])
+    starts = np.column_stack([np.linspace(-2, 2, 9), np.full(9, 0.2)])
+    reached, _ = climb(starts, line, np.exp(x), 0.3)
+    np.testing.assert_allclose(reached, starts * [1, 0], atol=1e-9)
+
+
 def test_the_ridge_of_a_line_in_space_is_the_line():
     rotation = special_ortho_group.rvs(3, random_state=0)
     along = np.linspace(-4, 4, 200)
