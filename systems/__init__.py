@@ -50,6 +50,7 @@ from systems.multibody import (
     FloatingBodyState_,
     MultibodyQuadrotor,
     MultibodyQuadrotorSdf,
+    MultibodyVehicle,
     QuadrotorInPlant,
 )
 from systems.navigation import RouteNavigator, RouteNavigator_
@@ -139,6 +140,7 @@ __all__ = [
     "MotionCapture",
     "MultibodyQuadrotor",
     "MultibodyQuadrotorSdf",
+    "MultibodyVehicle",
     "Pace",
     "PlanarVehicle",
     "PlanarVehicleInWind",

@@ -1,7 +1,7 @@
 """A quadrotor as a body of a MultibodyPlant, perhaps among others."""
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 import math
 from typing import Any
 
@@ -21,6 +21,7 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSyst
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 from sgvf_drake.exceptions import ConfigurationError
+from systems.disturbances import Disturbance
 from systems.moving_scene import QuadrotorShapes
 from systems.quadrotor import (
     ATTITUDE,
@@ -32,6 +33,7 @@ from systems.quadrotor import (
     QuadrotorParameters,
 )
 from systems.scalars import SCALARS, CheckFinite, ConstructCopy, Sqrt, ToList, remembered
+from systems.vehicle import Quadrotor
 
 BODY_STATE_SIZE = 13
 QUATERNION, PLACE, ANGULAR_VELOCITY, TRANSLATION = (
@@ -265,6 +267,21 @@ class MultibodyQuadrotor(Diagram):
             state: The state (12,), as QuadrotorPlant's.
         """
         self._quadrotor.SetVehicleState(root_context, state)
+
+
+@dataclass(frozen=True)
+class MultibodyVehicle(Quadrotor):
+    """A quadrotor that is a body of Drake's MultibodyPlant, see `MultibodyQuadrotor`."""
+
+    name = "multibody"
+
+    def MakePlant(self, disturbance: Disturbance | None = None) -> System:
+        """Returns the `MultibodyQuadrotor`, which flies in still air."""
+        if disturbance is not None:
+            raise ConfigurationError(
+                "a multibody quadrotor flies in still air; a quadrotor can be disturbed"
+            )
+        return MultibodyQuadrotor(self.parameters)
 
 
 def MultibodyQuadrotorSdf(parameters: QuadrotorParameters, name: str = "quadrotor") -> str:

@@ -1,11 +1,12 @@
 """The vehicles by their names: a kind of vehicle is a module, and a row here."""
 
 from sgvf_drake.exceptions import ConfigurationError
+from systems.multibody import MultibodyVehicle
 from systems.turning_vehicles import FixedWing, Unicycle
 from systems.vehicle import Quadrotor, Vehicle
 
 VEHICLES: dict[str, type[Vehicle]] = {
-    kind.name: kind for kind in (Quadrotor, Unicycle, FixedWing)
+    kind.name: kind for kind in (Quadrotor, MultibodyVehicle, Unicycle, FixedWing)
 }
 """The kinds of vehicles by the names of ``sgvf fly --vehicle``."""
 

@@ -92,7 +92,7 @@ def fly(
     field: FieldPath,
     out: Out,
     vehicle: Annotated[
-        str, typer.Option(help="What flies: quadrotor, unicycle or fixed-wing.")
+        str, typer.Option(help="What flies: quadrotor, multibody, unicycle or fixed-wing.")
     ] = "quadrotor",
     speed: Annotated[
         float | None,

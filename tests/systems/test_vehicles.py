@@ -31,7 +31,10 @@ from systems import (
 from .flying import LAP, ONE_RING, SPEED, UNIT, CircleField, rms
 
 # What a vehicle keeps to on a ring: its radius in m, and the RMS over a lap in parts of it.
-RINGS = {"quadrotor": (1.0, 0.004), "unicycle": (1.0, 0.004), "fixed-wing": (100.0, 0.004)}
+RINGS = {
+    **dict.fromkeys(("quadrotor", "multibody", "unicycle"), (1.0, 0.004)),
+    "fixed-wing": (100.0, 0.004),
+}
 
 
 def flown(field, vehicle, start, duration, air=None, **options):
@@ -219,7 +222,7 @@ MISUSE = {
     ),
     "unknown": (
         lambda: VehicleNamed("boat"),
-        "no vehicle 'boat'; there are quadrotor, unicycle, fixed-wing",
+        "no vehicle 'boat'; there are quadrotor, multibody, unicycle, fixed-wing",
     ),
     "Meshcat": (
         lambda: MakeFlightDiagram(ONE_RING, UNICYCLE, meshcat=MakeMeshcat(port=0)),
