@@ -217,7 +217,7 @@ class Quadrotor(Vehicle):
         """Returns the quadrotor of these parameters and gains."""
         if turn_radius is not None:
             raise ConfigurationError(
-                f"a {cls.name} turns on the spot: it has no turn radius to choose"
+                "a quadrotor turns on the spot: it has no turn radius to choose"
             )
         return cls(parameters or QuadrotorParameters(), gains)
 

@@ -213,8 +213,10 @@ def fly(
             f"--certificate {certificate} says nothing of a tour: transfers leave the field"
         )
     craft = VehicleNamed(vehicle)
-    if (html or meshcat) and not issubclass(craft, Quadrotor):
-        raise ConfigurationError(f"--html and --meshcat show quadrotors only, no {vehicle}")
+    own = {"--html": html, "--meshcat": meshcat, "--heading": heading is not None}
+    given = [name for name, value in own.items() if value]
+    if given and not issubclass(craft, Quadrotor):
+        raise ConfigurationError(f"{given[0]} is for quadrotors only, no {vehicle}")
     speed = craft.default_speed if speed is None else speed
     loaded = open_field(field)
     directed = isinstance(loaded, DirectedField)

@@ -217,7 +217,14 @@ BAD = {
     "a tour that turns": (("--vehicle", "unicycle", "--tour", "1"), "can neither slow down"),
     "sensors that turn": (("--vehicle", "unicycle", "--sensors"), "those of a quadrotor"),
     "nothing to make up for": (("--vehicle", "unicycle", "--compensate"), "no gains to set"),
-    "a page that turns": (("--vehicle", "unicycle", "--html"), "show quadrotors only"),
+    "a page that turns": (
+        ("--vehicle", "unicycle", "--html"),
+        "--html is for quadrotors only, no unicycle",
+    ),
+    "a heading that turns": (
+        ("--vehicle", "unicycle", "--heading", "path"),
+        "--heading is for quadrotors only, no unicycle",
+    ),
     "a quadrotor that turns": (("--turn-radius", 1), "it has no turn radius to choose"),
     "no tube": (("--html", "--tube", "{inputs}/no_tube"), "no_tube found no tube"),
 }
