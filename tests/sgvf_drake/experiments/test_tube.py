@@ -82,6 +82,14 @@ def test_curves_follow_the_level_to_second_order(monkeypatch, field):
     assert errors[2] <= 2e-3
 
 
+def test_curves_lie_on_their_level_about_an_ellipse_beside_the_origin():
+    field = exact_field(circle(2.0, 60) * [1.0, 0.5] + [1.0, -3.0], sigma=0.4)
+    V = LyapunovFunction.of(field)
+    curves = tube.level_curves(field, V.sigma, C_IN)
+    assert len(curves) == 2
+    np.testing.assert_allclose(V(np.concatenate(curves)), C_IN, atol=2e-3)
+
+
 def test_a_tube_as_thin_as_a_cell_is_whole(monkeypatch, field):
     # From the path to its border it is 0.03, and a cell is 1/30.
     monkeypatch.setattr(tube, "CELLS", 150)

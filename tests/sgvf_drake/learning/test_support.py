@@ -45,6 +45,18 @@ def test_a_clean_shape_is_learned_as_it_is(name):
     assert support.sigma == pytest.approx(max(0.1, 0.65 * spacing), rel=2e-3)
 
 
+def test_a_gap_is_filled_wherever_the_line_of_a_loop_begins():
+    cloud, _ = make_shape("circle")
+    network = find_paths(cloud)
+    assert not find_support(cloud, network).resampled
+    arc = network.path.project(cloud.points).arc
+    for middle in (0.0, network.length / 3):
+        away = (arc - middle + network.length / 2) % network.length - network.length / 2
+        rest = PointCloud(cloud.points[np.abs(away) > 0.2 * cloud.unit_length])
+        assert 195 < rest.num_points < 200
+        assert find_support(rest, network).resampled
+
+
 @pytest.mark.parametrize("name", SHAPES)
 def test_noisy_waypoints_become_points_on_a_line_half_a_noise_level_apart(name):
     cloud, path = make_shape(name, noise=0.05, seed=0, sampling="random")

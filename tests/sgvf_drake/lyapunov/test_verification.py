@@ -7,7 +7,7 @@ import pytest
 
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.lyapunov import find_band, take_samples, verification, verify
-from sgvf_drake.lyapunov.verification import STAND_IN
+from sgvf_drake.lyapunov.verification import STAND_IN, Violation
 
 # One noise level of V is enough where its choice is not the matter.
 ONE = (1.0,)
@@ -34,6 +34,12 @@ def test_a_rotation_about_a_ring_holds(ring, good):
     assert good.margins.e_star.min() > 0
     assert "V decreases from" in good.reason
     assert "|m| >= " in good.reason
+
+
+@pytest.mark.parametrize("counts", [True, False])
+def test_nothing_holds_where_a_violation_counts(good, counts):
+    slow = Violation("slow", np.array([4.0, 0.0]), 0.01, 0.0, 0.0, counts)
+    assert replace(good, violations=[slow]).holds is not counts
 
 
 def test_its_only_zero_is_in_the_hole_and_counts_for_nothing(good):

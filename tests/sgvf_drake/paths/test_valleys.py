@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from sgvf_drake.clouds import PointCloud
+from sgvf_drake.paths.assembly import Graph, Strand
 from sgvf_drake.paths.finding import find_paths
+from sgvf_drake.paths.valleys import runs_in_valley
 
 
 def hairpin(gap, noise, count=200, seed=0):
@@ -52,3 +54,13 @@ def test_strands_nearer_than_their_spacing_are_scatter():
     """Nothing tells two strands .1 apart from one path, where waypoints are .2 apart."""
     network = find_paths(PointCloud(hairpin(0.1, 0.0, 80)))
     assert network.length == pytest.approx(8, rel=0.05)
+
+
+@pytest.mark.parametrize("both_sides", [True, False])
+def test_a_line_that_cuts_a_bend_is_in_no_valley(both_sides):
+    x = np.linspace(0, 8, 161)
+    side = np.where(both_sides & (np.arange(161) % 2 == 1), -1.0, 1.0)
+    points = np.column_stack([x, 0.2 * side])
+    line = np.array([[0.0, 0.0], [8.0, 0.0]])
+    graph = Graph({0: line[0], 1: line[1]}, {0: Strand(line, [0, 1])})
+    assert runs_in_valley(graph, points, 0.3) == both_sides
