@@ -5,6 +5,7 @@ import dataclasses
 from dataclasses import dataclass
 import json
 
+from hypothesis import settings
 import pytest
 
 from sgvf_drake.clouds import PointCloud
@@ -13,6 +14,10 @@ from sgvf_drake.paths import make_shape
 from tests.data.make import field_file, open_circle
 from tests.fields import random_field, random_perceptron
 from tests.networks import SHAPES
+
+# Machines are noisy: no test asserts a time, neither does one of hypothesis.
+settings.register_profile("without a deadline", deadline=None)
+settings.load_profile("without a deadline")
 
 RECIPES = ("robust", "exact", "paper")
 

@@ -205,8 +205,10 @@ class Certificate:
         pairs = [(getattr(self, name), getattr(other, name)) for name in at_least]
         pairs += [(getattr(other, name), getattr(self, name)) for name in at_most]
         pairs += [(self.sigma, other.sigma), (other.sigma, self.sigma)]
-        if self.levels != other.levels or len(self.e_star) != len(other.e_star):
+        if len(self.levels) != len(other.levels) or len(self.e_star) != len(other.e_star):
             return False
+        pairs += zip(self.levels, other.levels, strict=True)
+        pairs += zip(other.levels, self.levels, strict=True)
         pairs += zip(self.e_star, other.e_star, strict=True)
         for here, there in zip(self.pieces, other.pieces, strict=True):
             pairs.append((here.lap_time_low, there.lap_time_low))

@@ -377,7 +377,7 @@ def test_pooled_error_weighs_each_sample():
     assert summary["lap_fraction"] == pytest.approx(2 / 3)
 
 
-@settings(max_examples=10, deadline=None, derandomize=True)
+@settings(max_examples=10, derandomize=True)
 @given(
     seed=st.integers(0, 2**32 - 1),
     angle=st.floats(0, 2 * np.pi),

@@ -24,7 +24,7 @@ def flower(rng, center, count):
     return ring_of(vertices, rng.uniform(0.01, 0.5, count), tuple(center.tolist()))
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(8, 60), parts=st.integers(1, 4))
 def test_squares_cover_a_ring(seed, count, parts):
     rng = np.random.default_rng(seed)

@@ -58,7 +58,7 @@ def interval(u, reach, below, above, least=-np.inf):
 
 
 @pytest.mark.parametrize("name", [*SMOOTH, *KINKED])
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(u=anywhere, reach=reaches, below=shares, above=shares, share=shares)
 def test_a_function_is_inside_of_its_expansion(name, u, reach, below, above, share):
     low, high = interval(u, reach, below, above)
@@ -71,7 +71,7 @@ def test_a_function_is_inside_of_its_expansion(name, u, reach, below, above, sha
 
 
 @pytest.mark.parametrize("name", CONVEX)
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     exponent=st.floats(-12, 7),
     reach=st.floats(-14, 3).map(lambda e: 10.0**e),

@@ -33,7 +33,7 @@ def one_box(rng, half, spread=4.0):
 
 
 @pytest.mark.parametrize("activation", [activation.name for activation in ACTIVATIONS])
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(seed=seeds, half=halves, scale=st.sampled_from([0.01, 1.0, 10.0]))
 def test_a_network_is_inside_of_its_model(make_perceptron, activation, seed, half, scale):
     rng = np.random.default_rng(seed)
@@ -50,7 +50,7 @@ def test_a_network_is_inside_of_its_model(make_perceptron, activation, seed, hal
         assert_inside(model, d, [row[0] for row in BallNetwork(network)(point_of(boxes, d))])
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(seed=seeds, half=halves, sigma=st.sampled_from([0.05, 0.3, 2.0]))
 def test_a_mixture_is_inside_of_its_models(seed, half, sigma):
     rng = np.random.default_rng(seed)
@@ -89,7 +89,7 @@ def slopes_at(mixture, z):
     ]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     seed=st.integers(0, 2**32 - 1),
     half=st.integers(-45, 0).map(lambda exponent: 2.0**exponent),
@@ -131,7 +131,7 @@ def test_what_is_left_falls_with_the_cube_of_the_square():
 
 
 @pytest.mark.parametrize("recipe", ["robust", "exact", "paper"])
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(seed=seeds, exponent=st.integers(-16, -3), normalises=st.booleans())
 def test_a_field_is_inside_of_its_model(make_field, recipe, seed, exponent, normalises):
     rng = np.random.default_rng(seed)

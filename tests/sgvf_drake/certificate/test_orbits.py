@@ -25,7 +25,7 @@ def normalised(field, z):
 
 
 @pytest.mark.parametrize("recipe", ["robust", "paper", "exact"])
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=seeds, exponent=st.integers(-16, -5))
 def test_derivatives_are_inside_of_their_models(make_field, recipe, seed, exponent):
     """Held against the analytic Jacobian, which is right to rounding."""

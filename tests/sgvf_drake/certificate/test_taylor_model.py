@@ -56,7 +56,7 @@ def assert_holds(model, column, d, value):
     assert abs(value) <= arb(float(model.magnitude[0, column]))
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(seed=seeds, first=scales, second=scales, half=scales)
 def test_sums_and_products(seed, first, second, half):
     rng = np.random.default_rng(seed)
@@ -74,7 +74,7 @@ def test_sums_and_products(seed, first, second, half):
                 assert_holds(model, column, d, value)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(seed=seeds, scale=scales, half=scales)
 def test_functions_of_models(seed, scale, half):
     rng = np.random.default_rng(seed)

@@ -190,7 +190,7 @@ STARTS = [b"", b"x,y\n", b"<gpx>", b"QGC WPL 110\n0\t", NUMPY + b"\x01\x00", ZIP
 FIELDS = st.text(alphabet="0123456789.,;\t \n\r\"'#%/<>=&eE+-_xyznan", max_size=60)
 
 
-@settings(max_examples=300, deadline=None, derandomize=True)
+@settings(max_examples=300, derandomize=True)
 @given(start=st.sampled_from(STARTS), rest=st.one_of(st.binary(max_size=60), FIELDS))
 def test_whatever_is_in_a_file_ends_in_points_or_in_one_line(tmp_path_factory, start, rest):
     path = tmp_path_factory.getbasetemp() / "any.csv"

@@ -14,7 +14,7 @@ PLACES = {
 }
 
 
-@settings(max_examples=50, deadline=None, derandomize=True)
+@settings(max_examples=50, derandomize=True)
 @given(**PLACES)
 @example(latitude=0.0, longitude=180.0, height=0.0)
 def test_the_axes_are_the_derivatives_of_the_place(latitude, longitude, height):
@@ -70,7 +70,7 @@ def test_the_ellipsoid_is_that_of_the_published_figures():
         )
 
 
-@settings(max_examples=50, deadline=None, derandomize=True)
+@settings(max_examples=50, derandomize=True)
 @given(latitude=st.floats(-89, 89), longitude=st.floats(-180, 180), seed=st.integers(0, 99))
 @example(latitude=0.0, longitude=179.9999, seed=0)
 @example(latitude=89.9999, longitude=-40.0, seed=1)

@@ -50,7 +50,7 @@ def test_the_digest_is_of_the_values_alone():
     assert PointCloud(array.reshape(2, 4)).digest != digest
 
 
-@settings(max_examples=30, deadline=None, derandomize=True)
+@settings(max_examples=30, derandomize=True)
 @given(
     scale=st.floats(1e-6, 1e6),
     x=st.floats(-1e3, 1e3),

@@ -305,7 +305,7 @@ DIALECT = st.fixed_dictionaries(
 NUMBERS = st.floats(-1e12, 1e12).map(lambda value: float(f"{value:.12g}"))
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=60, derandomize=True)
 @given(
     points=st.lists(st.tuples(NUMBERS, NUMBERS), min_size=2, max_size=6),
     dialect=DIALECT,

@@ -73,7 +73,7 @@ def assert_same(field, x, tolerance=1e-11):
         np.testing.assert_allclose(flat[field.dim :].reshape(J.shape), J, rtol=0, atol=atol)
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40, derandomize=True)
 @given(
     recipe=st.sampled_from(RECIPES),
     activation=st.sampled_from(ACTIVATIONS),

@@ -56,7 +56,7 @@ def test_partials_at_every_magnitude(compose):
 
 
 @EACH
-@settings(max_examples=30, deadline=None, derandomize=True)
+@settings(max_examples=30, derandomize=True)
 @given(
     seed=st.integers(0, 2**32 - 1),
     dim=st.integers(2, 3),

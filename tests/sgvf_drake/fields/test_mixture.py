@@ -125,7 +125,7 @@ def test_far_away_the_score_points_at_the_nearest_waypoint_and_nothing_overflows
             np.testing.assert_allclose(jacobian, [-np.eye(2) * unit] * 2, atol=1e-9)
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40, derandomize=True)
 @given(
     dim=st.integers(2, 3),
     seed=st.integers(0, 2**32 - 1),

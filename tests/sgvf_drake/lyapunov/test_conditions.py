@@ -120,7 +120,7 @@ class Slope:
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_which_bounds_follow(seed):
     rng = np.random.default_rng(seed)
     direction = rng.standard_normal((50, 2))

@@ -78,7 +78,7 @@ def test_near_a_dense_ring_it_is_the_square_of_the_distance(ring_field):
 
 
 @given(st.integers(0, 10_000), st.sampled_from([1e-3, 1.0, 1e4]))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_it_has_no_unit(seed, scale):
     x = np.random.default_rng(seed).uniform(-3, 3, (20, 2))
     plain, scaled = (

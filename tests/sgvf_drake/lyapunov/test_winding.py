@@ -56,7 +56,7 @@ zeros = st.lists(
 )
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=60, derandomize=True)
 @given(zeros, zeros)
 def test_the_winding_number_counts_what_is_inside(positive, negative):
     def is_inside(z):

@@ -121,7 +121,7 @@ coordinate = st.floats(-4.9, 4.9)
 planted = st.lists(st.builds(complex, coordinate, coordinate), max_size=3)
 
 
-@settings(max_examples=30, deadline=None, derandomize=True)
+@settings(max_examples=30, derandomize=True)
 @given(planted, planted, st.floats(0, 6.28))
 def test_planted_zeros_are_found(positive, negative, angle):
     zeros = on_plane([*positive, *negative])

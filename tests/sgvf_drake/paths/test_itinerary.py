@@ -135,7 +135,7 @@ def test_bad_itineraries_are_refused():
         Itinerary.along([1, 2], SQUARE, closed=True)
 
 
-@settings(max_examples=40, derandomize=True, deadline=None)
+@settings(max_examples=40, derandomize=True)
 @given(
     network=NETWORKS, places=st.tuples(*[st.floats(0.02, 0.98)] * 2), seed=st.integers(0, 99)
 )
@@ -276,7 +276,7 @@ def postman(network):
     return network.length + least(odd)
 
 
-@settings(max_examples=60, derandomize=True, deadline=None)
+@settings(max_examples=60, derandomize=True)
 @given(network=NETWORKS)
 @example(network=SQUARE)
 @example(network=THETA)

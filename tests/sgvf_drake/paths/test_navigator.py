@@ -82,7 +82,7 @@ def test_sections_tile_the_line_and_keep_near_its_tangent(name):
     assert end == pytest.approx(itinerary.length - rest)
 
 
-@settings(max_examples=30, derandomize=True, deadline=None)
+@settings(max_examples=30, derandomize=True)
 @given(st.integers(0, 10**6), st.integers(4, 9), st.integers(0, 6))
 def test_sections_of_tours_over_random_networks(seed, size, extra):
     network = random_network(seed, size, extra)
@@ -100,7 +100,7 @@ def test_sections_of_tours_over_random_networks(seed, size, extra):
         np.testing.assert_allclose(after.direction, tangent, atol=1e-6)
 
 
-@settings(max_examples=40, derandomize=True, deadline=None)
+@settings(max_examples=40, derandomize=True)
 @given(st.integers(0, 10**6), st.integers(4, 9), st.integers(0, 6))
 def test_short_and_cut_itineraries_are_completed(seed, size, extra):
     """Also those that end within sigma, or within the turn at a node."""
