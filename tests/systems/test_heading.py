@@ -9,10 +9,12 @@ import pytest
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
 from systems import (
     DEFAULT_GAINS,
+    CourseController,
     GuidanceLoop,
     GuidanceSystem,
     HeadingSystem,
     IdealMotionCapture,
+    PlanarVehicleParameters,
     Se3Controller,
     SensorParameters,
     SetHover,
@@ -137,11 +139,12 @@ def test_what_is_no_point_is_refused(point):
 
 
 def test_a_controller_without_a_heading_is_refused():
-    with pytest.raises(ConfigurationError, match="heading"):
+    with pytest.raises(ConfigurationError, match="told a heading needs an input port"):
         GuidanceLoop(
             GuidanceSystem(ONE_RING),
-            GuidanceSystem(ONE_RING),
+            CourseController(PlanarVehicleParameters(0.45, 1.0)),
             IdealMotionCapture(),
             heading=HeadingSystem(),
+            actuation="turn_rate",
         )
     assert Se3Controller().HasInputPort("heading")
