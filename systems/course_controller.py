@@ -39,7 +39,7 @@ LEAST_PROGRESS = 0.05
 against wind of 95 % of it."""
 
 STANDING = 1e-3
-"""Of the airspeed; below it the course over ground is that of the heading."""
+"""A part of the airspeed; below it the course over ground is that of the heading."""
 
 
 def DefaultCourseGain(parameters: PlanarVehicleParameters) -> float:

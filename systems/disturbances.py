@@ -147,7 +147,7 @@ class DisturbedQuadrotor(Diagram):
         """Sets the state of the vehicle; its propellers carry its weight.
 
         Args:
-            root_context: Of the whole diagram.
+            root_context: The Context of the whole diagram.
             state: The state (12,), as QuadrotorPlant's.
         """
         values = [(self._quadrotor, state), (self._drift, np.zeros(6))]

@@ -305,7 +305,7 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             """Turns the heading."""
             if self._intended is not None:
                 turn = self._Turn(context, self._EvalMotion(context))
-                speed = self._FlownSpeed(context)
+                speed = self._FlownSpeed(context, self.GetSpeed(context))
                 derivatives.get_mutable_vector().SetFromVector(speed * turn)
 
         def _EvalDirected(self, context: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -351,8 +351,7 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             velocity = self._velocity.Eval(context)
             speed, altitude, approach_length = self._ReadParameters(context)
             CheckNonNegativeParameter("speed", speed)
-            if self._asked.HasValue(context):
-                speed = self._AtMost(context, speed)
+            speed = self._FlownSpeed(context, speed)
             if self._intended is None:
                 field = self._Flown(approach_length).evaluate(position[: self._field.dim])
                 commands = self._Calc(field, position, velocity, speed, altitude)
@@ -371,13 +370,10 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
                 commands[3:] = T(0.0)
             return commands
 
-        def _FlownSpeed(self, context: Any) -> Scalar:
-            """Returns the speed of the parameter, or of the input, if that is less."""
-            speed = self.GetSpeed(context)
-            return self._AtMost(context, speed) if self._asked.HasValue(context) else speed
-
-        def _AtMost(self, context: Any, speed: Scalar) -> Scalar:
-            """Returns the speed that is asked for, or another one, if that is less."""
+        def _FlownSpeed(self, context: Any, speed: Scalar) -> Scalar:
+            """Returns the speed of the parameter, or that of the input, if it is less."""
+            if not self._asked.HasValue(context):
+                return speed
             asked = self._asked.Eval(context)[0]
             CheckFinite(self, context, self._asked, [ToFloat(asked)])
             CheckNonNegativeParameter("the speed that is asked for", asked)
@@ -387,7 +383,7 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             output.SetFromVector(self.GetHeading(context))
 
         def _CalcSpeed(self, context: Any, output: Any) -> None:
-            output.SetAtIndex(0, self._FlownSpeed(context))
+            output.SetAtIndex(0, self._FlownSpeed(context, self.GetSpeed(context)))
 
     return Impl
 

@@ -10,7 +10,6 @@ from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields.base import Field, SteerableField
 from systems.controller import DEFAULT_GAINS
 from systems.guidance import DEFAULT_ALTITUDE, GuidanceSystem
-from systems.multibody import MultibodyQuadrotor, QuadrotorInPlant
 from systems.quadrotor import ATTITUDE, VELOCITY, QuadrotorParameters
 from systems.se3_law import Gains
 from systems.sensing import DEFAULT_SAMPLE_PERIOD, SensorParameters
@@ -209,7 +208,7 @@ def AddGuidance(
             of the plant, if it is a QuadrotorPlant, with the paper's thrust-to-weight ratio,
             and those that a `QuadrotorInPlant` or a `MultibodyQuadrotor` has.
         name: The name of the loop in the builder.
-        speed: In m/s, at which a field is followed; None: the vehicle's own.
+        speed: At which a field is followed, m/s; None: the vehicle's own.
         altitude: In m; only for a field of dimension 2.
         sample_period: Of an ideal motion capture, and so of the whole loop, in s; 0 leaves
             sampling out, so that the loop is continuous.
@@ -272,8 +271,9 @@ def _ReadParameters(plant: Any) -> QuadrotorParameters:
     """Returns the parameters of a plant that knows its own."""
     if isinstance(plant, QuadrotorPlant):
         return QuadrotorParameters.FromPlant(plant)
-    if isinstance(plant, (QuadrotorInPlant, MultibodyQuadrotor)):
-        return plant.parameters
+    parameters = getattr(plant, "parameters", None)
+    if isinstance(parameters, QuadrotorParameters):
+        return parameters
     raise ConfigurationError(
         "parameters must be given for a plant that is not a QuadrotorPlant or of a "
         "MultibodyPlant"
@@ -309,8 +309,13 @@ def _CheckPorts(
         for name in names:
             if not has(name):
                 raise ConfigurationError(
-                    f"{role} needs an {kind} port {name!r}; {type(system).__name__} has none"
+                    f"{role} needs an {kind} port {name!r}; {_NameOf(system)} has none"
                 )
+
+
+def _NameOf(system: System) -> str:
+    """Returns the name of a system's class; Drake adds that of the scalar to a template's."""
+    return type(system).__name__.partition("_\N{MATHEMATICAL BOLD SCRIPT CAPITAL T}")[0]
 
 
 def _Connect(builder: DiagramBuilder, source: System, target: System, *names: str) -> None:

@@ -125,7 +125,7 @@ class QuadrotorInPlant(Diagram):
 
     Args:
         plant: A finalized MultibodyPlant.
-        model_instance: Of the quadrotor: one floating body, to which others may be welded, of
+        model_instance: The quadrotor: one floating body, to which others may be welded, of
             this model or another.  The origin of its frame is the centre of mass, its z axis
             points up and its axes are the principal ones; propeller 0 is on +x, see
             `QuadrotorParameters`.
@@ -162,7 +162,7 @@ class QuadrotorInPlant(Diagram):
         """Sets the state of the vehicle, which the MultibodyPlant has.
 
         Args:
-            root_context: Of the whole diagram.
+            root_context: The Context of the whole diagram.
             state: The state (12,), as QuadrotorPlant's.
         """
         rpy = RollPitchYaw(state[ATTITUDE])
@@ -192,9 +192,9 @@ def AddMultibodyQuadrotor(
     Args:
         builder: Is changed; `plant` is in it.
         plant: Is finalized.
-        model_instance: Of the quadrotor; see `QuadrotorInPlant` for what it has to be.
+        model_instance: The quadrotor; see `QuadrotorInPlant` for what it has to be.
         parameters: The propellers, as in `QuadrotorInPlant`; by default the paper's.
-        name: Of what is added; None: that of the model instance.
+        name: The name of the sub-Diagram; None: that of the model instance.
 
     Returns:
         What was added, with ports `propeller_force` (4) and `state` (12) as QuadrotorPlant's.
@@ -239,7 +239,7 @@ class MultibodyQuadrotor(Diagram):
 
     Args:
         parameters: The vehicle; by default the paper's.
-        time_step: Of a discrete plant in s; 0: it is continuous.
+        time_step: The step in s of a discrete plant; 0: it is continuous.
     """
 
     def __init__(
@@ -263,7 +263,7 @@ class MultibodyQuadrotor(Diagram):
         """Sets the state of the vehicle.
 
         Args:
-            root_context: Of the whole diagram.
+            root_context: The Context of the whole diagram.
             state: The state (12,), as QuadrotorPlant's.
         """
         self._quadrotor.SetVehicleState(root_context, state)
@@ -289,7 +289,7 @@ def MultibodyQuadrotorSdf(parameters: QuadrotorParameters, name: str = "quadroto
 
     Args:
         parameters: The vehicle: mass, inertia and size.
-        name: Of the model.
+        name: The name of the model.
     """
     ixx, iyy, izz = parameters.inertia
     shapes = QuadrotorShapes(parameters.arm_length)

@@ -117,7 +117,7 @@ def PlanarVehicle_(T: type) -> Any:  # noqa: D103 (the class below says it)
             """Sets position and heading, on a straight course.
 
             Args:
-                root_context: Of the whole diagram.
+                root_context: The Context of the whole diagram.
                 state: The state (7,), whose velocity follows from heading and wind.
             """
             values = [*state[: HEADING + 1], *([0.0] if self._lags else [])]

@@ -212,7 +212,7 @@ class IdealMotionCapture(Diagram):
 
     Args:
         period: In s, for which a sample is held; 0 passes the state through in continuous time.
-        size: Of the state, which begins with the position; by default QuadrotorPlant's.
+        size: That of the state, which begins with the position; by default QuadrotorPlant's.
         velocity: The entries of the velocity in it.
     """
 

@@ -49,9 +49,9 @@ class Pace(NamedTuple):
     """How fast vehicles go, and how fast they change their gaps.
 
     Attributes:
-        speed: In m/s, at which all go once the gaps are as asked.
-        slowest: In m/s, less than that, and not negative.
-        fastest: In m/s, more than that.
+        speed: At which all go, m/s, once the gaps are as asked.
+        slowest: The least speed, m/s, less than that, and not negative.
+        fastest: The greatest speed, m/s, more than that.
         gain: From metres of a gap to a speed, 1/s.
     """
 
@@ -122,10 +122,10 @@ def SpacingController_(T: type) -> Any:  # noqa: D103 (the class below says it)
             branch: The closed path in m, in the direction of travel; see `MakeBranches`.
             num_vehicles: n, at least 2.
             pace: The speeds and the gain.
-            shares: Of the length, which the gaps ahead of the vehicles are to be, (n,),
-                positive, in any unit; None: all are equal.
-            reach: In m; by default `REACH_SHARE` of the length.
-            period: Of the updates in s, in which a vehicle moves by less than `reach`.
+            shares: The parts of the length that the gaps ahead of the vehicles are to be,
+                (n,), positive, in any unit; None: all are equal.
+            reach: A distance in m; by default `REACH_SHARE` of the length.
+            period: The time between updates, s, in which a vehicle moves less than `reach`.
 
         Raises:
             ConfigurationError: if an argument or a parameter cannot be used.

@@ -33,7 +33,7 @@ UNICYCLE_TURN_RATE = 2.0
 """rad/s, as small robots on two wheels have it."""
 
 BANK_LIMIT = math.radians(35.0)
-"""Of a fixed wing; with a speed v it turns at g tan(bank) / v."""
+"""The greatest bank of a fixed wing, rad; with a speed v it turns at g tan(bank) / v."""
 
 BANK_LAG = 0.3
 """s, in which a small fixed wing banks."""

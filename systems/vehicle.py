@@ -60,8 +60,8 @@ class Vehicle(ABC):
     name `actuation`.  The state begins with the position p_WB (3).
 
     Attributes:
-        name: By which it is chosen.
-        default_speed: In m/s.
+        name: The name by which it is chosen.
+        default_speed: The speed where none is asked for, m/s.
         actuation: The port by which a controller commands the plant.
         actuation_columns: The names of its entries in a log.
         state_columns: The names of the entries of the state.
@@ -89,10 +89,10 @@ class Vehicle(ABC):
         """Returns the vehicle for a flight.
 
         Args:
-            speed: At which it is to fly, m/s.
-            turn_radius: Of its tightest turn, m; None: its own.
-            parameters: Of a quadrotor; None: the paper's.
-            gains: Of the controller of a quadrotor.
+            speed: The speed of the flight, m/s.
+            turn_radius: That of its tightest turn, m; None: its own.
+            parameters: Those of a quadrotor; None: the paper's.
+            gains: Those of the controller of a quadrotor.
 
         Raises:
             ConfigurationError: if it has no such thing, or a value cannot be used.
@@ -100,7 +100,7 @@ class Vehicle(ABC):
 
     @property
     def own_speed(self) -> float:
-        """At which it flies where nothing else is asked for, m/s."""
+        """The speed at which it flies where nothing else is asked for, m/s."""
         return self.default_speed
 
     @property
@@ -141,7 +141,7 @@ class Vehicle(ABC):
 
         Args:
             dim: The dimension of the field.
-            speed: In m/s.
+            speed: The commanded speed, m/s.
         """
 
     @abstractmethod
@@ -169,7 +169,7 @@ class Vehicle(ABC):
         Args:
             guiding: The field, in metres.
             pieces: Points (n, d) at equal steps along each piece, in m.
-            speed: In m/s.
+            speed: The commanded speed, m/s.
             disturbance: What disturbs the vehicle.
 
         Raises:
@@ -187,7 +187,7 @@ class Quadrotor(Vehicle):
 
     Attributes:
         parameters: As the controller believes them.
-        gains: Of the controller.
+        gains: Those of the controller.
         saturate: As in `Se3Controller`.
     """
 

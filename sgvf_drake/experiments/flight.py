@@ -76,7 +76,7 @@ class FlightSpec:
     Attributes:
         vehicle: A name of `systems.VEHICLES`.
         speed: Commanded speed, m/s; of a vehicle that only turns, its own.
-        turn_radius: Of the tightest turn of such a vehicle, m; None: its own.
+        turn_radius: That of the tightest turn of such a vehicle, m; None: its own.
         laps: Lengths of every closed piece that are flown, at least 1, since the last lap is
             what is measured.
         altitude: Height of the flight where the field is planar, m.

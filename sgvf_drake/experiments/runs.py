@@ -39,7 +39,7 @@ from sgvf_drake.learning.recipes import RECIPES
 from sgvf_drake.paths import PathNetwork, ReferencePath, make_shape
 from sgvf_drake.paths.itinerary import Itinerary
 from sgvf_drake.progress import Progress, no_progress
-from systems import FieldForSpeed
+from systems import FieldForSpeed, Quadrotor
 
 FIELD_FILE = "field.safetensors"
 TRAIN_FILES = (SUMMARY, FIELD_FILE, "losses.csv", "field.png")
@@ -336,11 +336,13 @@ def _flight_origin(
         "disturbance_bandwidth": spec.gains.disturbance_bandwidth,
         "seed": spec.seed,
     }
+    heading = spec.gains.heading if spec.heading is None else spec.heading
     return {
         "reference": reference,
         "sensors": sensors,
         "disturbance": disturbance,
-        "heading": spec.gains.heading if spec.heading is None else spec.heading,
+        # Other vehicles look where they go.
+        "heading": heading if isinstance(spec.craft, Quadrotor) else None,
         **origin(field),
     }
 

@@ -6,9 +6,11 @@ import math
 import numpy as np
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput
+import pytest
 import sympy
 
 from sgvf_drake.clouds import PointCloud
+from sgvf_drake.exceptions import ConfigurationError
 from systems import (
     AddGuidance,
     Branch,
@@ -149,6 +151,13 @@ LANES = (
 
 def rms(x):
     return math.sqrt(np.mean(np.square(x)))
+
+
+def check_refusal(act, message):
+    """Asserts that what is done is refused with one line that has this in it."""
+    with pytest.raises(ConfigurationError, match=message) as caught:
+        act()
+    assert "\n" not in str(caught.value)
 
 
 def differences(function, x, h=1e-6):

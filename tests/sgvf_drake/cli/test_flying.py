@@ -180,6 +180,7 @@ def test_a_vehicle_is_chosen_by_its_name(
     assert summary["speed_command_m_s"] == {"unicycle": 0.45, "fixed-wing": 15.0}[vehicle]
     assert summary["cross_track_rms_m"] < 0.02 * scale
     assert "heading" in log
+    assert summary["heading"] is None
     assert 0.005 < ink(out / "flight_1.png") < 0.9
 
 
