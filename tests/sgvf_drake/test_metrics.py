@@ -100,6 +100,15 @@ def test_an_agent_on_a_circle(name):
     }
 
 
+def test_a_lap_of_equal_steps_begins_and_ends_at_one_place():
+    corners = np.array([[2.0, -2.0], [2.0, 2.0], [-2.0, 2.0], [-2.0, -2.0]])
+    square = ReferencePath((Piece(corners, closed=True),))
+    times = 0.05 * np.arange(500)
+    metrics = measure(times, square.pieces[0].at(times % 16)[:, None], square)
+    assert metrics.lapped.tolist() == [True]
+    assert metrics.samples.tolist() == [16 / 0.05 + 1]
+
+
 def test_the_error_is_that_of_the_last_lap_only():
     times = times_for(3 * LAP)
     radius = 3 + np.where(times < 1.5 * LAP, 0.2, 0.01 * np.sin(5 * times / 3))

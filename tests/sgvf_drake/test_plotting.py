@@ -133,6 +133,10 @@ def test_cross_track_of_one_agent_and_of_many(axes):
     for color, size in ((plotting.BLUE, 1.5), (plotting.RED, 2.0)):
         (drawn,) = lines_of(artists, color)
         np.testing.assert_allclose(drawn.get_ydata(), size * np.exp(-TIMES / 2), rtol=1e-9)
+    # Of 21 agents, all but one on either side are between 5 % and 95 %.
+    border = artists[0].get_paths()[0].vertices[:, 1]
+    assert border.max() == pytest.approx(1.95)
+    assert border.min() == pytest.approx(1.05 * np.exp(-TIMES[-1] / 2))
     assert "[mm]" in axes.get_ylabel()
     assert "[s at unit speed]" in axes.get_xlabel()
 

@@ -170,6 +170,27 @@ def test_derivatives_agree_with_differences():
         np.testing.assert_allclose(exact, differences(law, x), atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("max_turn_rate", "turn_lag", "gain"),
+    # A turn at full rate for a right angle; no more than a lag bears, or sampling.
+    [
+        (0.5, 0.3, 0.5),
+        (4.0, 0.3, 0.5 / 0.3),
+        (4.0, 0.0, 4.0),
+        (9.0, 0.0, 8.0),
+        (9.0, 0.01, 8.0),
+    ],
+)
+def test_the_default_gain_is_the_largest_that_is_of_use(max_turn_rate, turn_lag, gain):
+    vehicle = PlanarVehicleParameters(5.0, max_turn_rate, turn_lag)
+    controller = CourseController(vehicle)
+    found = controller.GetGain(controller.CreateDefaultContext())
+    assert found == pytest.approx(gain)
+    if turn_lag > 0.0:
+        # That of e'' + e' / lag + gain e / lag = 0.
+        assert 0.5 / math.sqrt(found * turn_lag) > 0.7
+
+
 def test_bad_gains_and_inputs_are_refused():
     with pytest.raises(ConfigurationError, match="gain must be finite and positive"):
         CourseController(VEHICLE, 0.0)

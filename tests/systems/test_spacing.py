@@ -177,6 +177,27 @@ def test_who_is_not_on_the_path_does_not_count():
     np.testing.assert_allclose(speeds, [clipped[0], PACE.speed, clipped[1]])
 
 
+def test_the_shares_of_who_is_on_the_path_are_enlarged():
+    trace = at_angles([[0.0, 1.0, 2.3]])
+    trace[:, 1, :2] *= 2.0
+    _, spacing, context = track(RINGS[0], trace, shares=[1.0, 5.0, 2.0])
+    # The others are to have a third and two thirds of the lap ahead.
+    ahead, behind = 2.3 / (2 / 3), (LAP - 2.3) / (4 / 3)
+    change = PACE.gain * (ahead - behind)
+    speeds = [spacing.GetOutputPort(f"speed_{i}").Eval(context)[0] for i in range(3)]
+    expected = [PACE.speed + change, PACE.speed, PACE.speed - change]
+    np.testing.assert_allclose(speeds, expected, atol=2e-3)
+    assert PACE.slowest < min(speeds) < max(speeds) < PACE.fastest
+
+
+def test_a_corner_is_passed_between_long_sides():
+    branch = branch_of(np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]]))
+    arcs = np.arange(1.8, 2.7, 0.03)
+    places = np.column_stack([Piece(branch.points, closed=True).at(arcs), np.ones_like(arcs)])
+    found, _, _ = track(branch, places[:, None].repeat(2, axis=1))
+    np.testing.assert_allclose(found[:, 0], arcs, atol=1e-9)
+
+
 def test_a_dead_end_is_left_again():
     """There and back on one line: the nearest places are two, one of each way."""
     x = np.concatenate([np.linspace(0.0, 3.0, 61), np.linspace(3.0, 0.0, 61)[1:-1]])

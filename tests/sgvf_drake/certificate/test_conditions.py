@@ -7,7 +7,16 @@ import numpy as np
 import pytest
 
 from sgvf_drake.certificate.boxes import Answer, Boxes, divide
-from sgvf_drake.certificate.conditions import HIGH, LOW, MARGIN, RATE, SPEED, Decrease, Speed
+from sgvf_drake.certificate.conditions import (
+    HIGH,
+    LOW,
+    MARGIN,
+    RATE,
+    SPEED,
+    Decrease,
+    Rates,
+    Speed,
+)
 from sgvf_drake.certificate.mixture_model import MixtureModel
 from sgvf_drake.fields import GaussianMixture, PaperComposition, Perceptron
 from sgvf_drake.lyapunov import LyapunovFunction
@@ -80,6 +89,13 @@ def in_balls(field, levels, z):
     V, gradient = mixture_at(levels.mixture, z)
     m = BallField(field)(z).m
     return V - arb(levels.lowest), dot(gradient, m), dot(m, m)
+
+
+def test_the_entry_time_is_the_integral_of_dc_over_the_rate():
+    # V falls at the rate V, as its logarithm does at the rate one: slower at the lower level.
+    levels = np.geomspace(0.5, 8.0, 2_001)
+    found = Rates(levels, alpha=levels[:-1], e_star=levels[:-1], step=1.0)
+    assert np.log(16) < found.entry_time < 1.001 * np.log(16)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from sgvf_drake.certificate.boxes import Boxes, Division
 from sgvf_drake.certificate.field_model import dual_field
 from sgvf_drake.certificate.mixture_model import MixtureModel
 from sgvf_drake.certificate.orbit_search import propose_annuli
-from sgvf_drake.certificate.orbits import Contraction, Turning
+from sgvf_drake.certificate.orbits import NUM_SECTORS, Contraction, Turning
 from sgvf_drake.fields import GaussianMixture
 from tests.helpers import circle
 
@@ -108,6 +108,20 @@ def test_the_lap_time_is_bounded_by_squares_wider_than_a_sector():
     found = Division(boxes, facts, 200, None, boxes[:0])
     low, high = Turning(None, np.zeros(2), 1).lap_time(found)
     assert low < 2 * np.pi / np.sqrt(0.75) < high < 1.1 * low
+
+
+def test_a_square_decides_the_lap_time_in_every_sector_that_it_reaches():
+    sector, number = 2 * np.pi / NUM_SECTORS, np.arange(NUM_SECTORS)
+    # One of them reaches two sectors farther on both sides than its own.
+    wide = number == 100
+    angle, width = sector * (number + 0.5), sector * np.where(wide, 2.49, 0.49)
+    centers = 4 * np.column_stack([np.cos(angle), np.sin(angle)])
+    boxes = Boxes(centers, 4 * np.sin(width) / np.sqrt(2))
+    facts = np.where(wide[:, None], [0.1, 4.0], 1.0)
+    found = Division(boxes, facts, NUM_SECTORS, None, boxes[:0])
+    low, high = Turning(None, np.zeros(2), 1).lap_time(found)
+    assert high == pytest.approx(2 * np.pi + 5 * sector * (1 / 0.1 - 1))
+    assert low == pytest.approx(2 * np.pi + 5 * sector * (1 / 4.0 - 1))
 
 
 def test_a_lap_the_other_way_is_refused(tube, annulus):

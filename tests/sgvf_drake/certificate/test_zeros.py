@@ -1,6 +1,6 @@
 """Lists of zeros that are proved: complete, of the right kinds, silent where they must be."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -8,7 +8,9 @@ import pytest
 from sgvf_drake.certificate import enclose_zeros
 from sgvf_drake.certificate.boxes import Boxes, Division
 from sgvf_drake.certificate.field_model import model_field, model_score, simplify
+from sgvf_drake.certificate.isolation import isolate
 from sgvf_drake.certificate.network_model import model_network
+from sgvf_drake.certificate.taylor_model import DualModel, TaylorModel
 from sgvf_drake.certificate.zeros import HALF_WIDTH, _distinct, _grid, proved_winding_number
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import NormalisedComposition, Perceptron
@@ -204,6 +206,31 @@ def test_enclosures_of_one_zero_are_told_from_those_of_two():
     assert count((0.1, 0.0), (0.1, 0.0), 1e-3) == (1, 0)
     assert count((0.1, 0.0), (0.3, 0.0), 1e-3) == (2, 0)
     assert count((0.1, 0.0), (0.3, 0.0), 0.12) == (1, 1)
+
+
+@dataclass(frozen=True)
+class Uncertain:
+    """Functions that are the coordinates to within 0.01, and their slopes to within 0.45."""
+
+    def model(self, boxes):
+        position = TaylorModel.position(boxes)
+        return replace(position, remainder=position.remainder + 0.01)
+
+    def dual(self, boxes):
+        slopes = (np.tile(row, (len(boxes), 1)) for row in np.eye(2))
+        models = [TaylorModel.constant(boxes.half, slope) for slope in slopes]
+        rough = [replace(model, remainder=model.remainder + 0.45) for model in models]
+        return DualModel(self.model(boxes), rough)
+
+
+def test_an_enclosure_reaches_as_far_as_its_bounds_allow_the_zero_to_be():
+    found = isolate(Uncertain(), Boxes(np.zeros((1, 2)), np.ones(1)), 0.0)
+    assert found.is_one.tolist() == [True]
+    assert found.index.tolist() == [1]
+    # The farthest zero is that of the flattest of these functions.
+    zero = np.linalg.solve([[0.55, -0.45], [-0.45, 0.55]], [0.01, 0.01])
+    assert np.allclose(zero, 0.1)
+    assert (np.abs(found.points - zero) <= found.radius).all()
 
 
 def test_what_may_be_one_zero_or_two_leaves_the_list_open(linear, monkeypatch):

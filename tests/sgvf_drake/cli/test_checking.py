@@ -58,12 +58,19 @@ def words_of(printed):
 @pytest.mark.usefixtures("coarse_grid")
 def test_a_good_field_is_verified(run, fields, tmp_path, capsys):
     out = tmp_path / "out"
-    assert run("verify", fields / "ring.safetensors", "--starts", 16, "--out", out) == 0
+    options = ("--starts", 16, "--scale", 2.5)
+    assert run("verify", fields / "ring.safetensors", *options, "--out", out) == 0
     printed = capsys.readouterr()
     for words in ("sampled conditions", "hold", "band of V", "|cos(s, v)|", "bound, gradient"):
         assert words in printed.out
     assert printed.err == ""
-    assert summary_of(out)["holds"] is True
+    summary = summary_of(out)
+    assert summary["holds"] is True
+    # In metres there, of which U has as many as the scale.
+    assert summary["unit_length"] == pytest.approx(2.5, rel=1e-3)
+    for name, length in (("sigma of V", "sigma"), ("half-width", "tube_half_width")):
+        in_units = f"{summary[length] / summary['unit_length']:.3g} U"
+        assert f"{name} {in_units}" in words_of(printed.out)
 
 
 @pytest.mark.usefixtures("coarse_grid")

@@ -5,9 +5,10 @@ import json
 import numpy as np
 import pytest
 
+from sgvf_drake.exceptions import PointCloudError
 from sgvf_drake.paths import PathNetwork
 from tests.helpers import ink, names_in, summary_of
-from tests.networks import SHAPES, topology
+from tests.networks import SHAPES, straight_network, topology
 
 FILES = {"summary.json", "network.json", "network.png"}
 KEYS = {
@@ -46,6 +47,10 @@ def test_a_network(run, cloud, tmp_path, capsys):
     lengths = [edge["length"] for edge in summary["edges"]]
     assert summary["length"] == pytest.approx(sum(lengths))
     assert summary["unsure"] is None
+    for piece, found in enumerate(summary["pieces"]):
+        for name in ("nodes", "edges"):
+            own = [k for k, one in enumerate(summary[name]) if one["piece"] == piece]
+            assert found[name] == own
     network = PathNetwork.load(out / "network.json")
     assert topology(network) == SHAPES["roundabout"].topologies[0]
     assert [edge.length for edge in network.edges] == pytest.approx(lengths)
@@ -103,3 +108,11 @@ def test_a_damaged_network_is_one_error(tmp_path):
         path.write_text(text)
         with pytest.raises(ValueError, match=r"network\.json"):
             PathNetwork.load(path)
+
+
+def test_a_network_of_another_version_is_refused():
+    data = straight_network(np.array([[0.0, 0.0], [4.0, 0.0]]), [(0, 1)]).to_json()
+    assert PathNetwork.from_json(data).to_json() == data
+    for name, other in (("version", data["version"] + 1), ("format", "another")):
+        with pytest.raises(PointCloudError, match=f"no {data['format']} of version"):
+            PathNetwork.from_json(data | {name: other})

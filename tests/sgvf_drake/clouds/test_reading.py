@@ -80,6 +80,7 @@ VELOCITIES = (
     ("n,e,vn,ve", None, [1, 0], [3, 2]),
     # None, where they do not go with the coordinates.
     ("x,y,speed", None, [0, 1], None),
+    ("a,b,vx,vy", "vx,vy", [2, 3], None),
     ("x,y,vx", None, [0, 1], None),
     ("x,y,z,vx,vy", None, [0, 1, 2], None),
     ("x,y,vx_l,vy_l,vx_r,vy_r", None, [0, 1], None),

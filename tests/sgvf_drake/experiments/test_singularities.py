@@ -6,7 +6,8 @@ import pytest
 
 from sgvf_drake.experiments import run_singularities
 from sgvf_drake.experiments.figures.singularities import MARKS, plot_zeros
-from sgvf_drake.lyapunov import KINDS, FieldZeros, Zero
+from sgvf_drake.experiments.singularities import singularity_summary
+from sgvf_drake.lyapunov import KINDS, FieldZeros, Singularities, Zero
 from sgvf_drake.plotting import new_figure
 from tests.helpers import ink, summary_of
 
@@ -85,6 +86,16 @@ def test_a_field_without_zeros(make_field, tmp_path):
     written = summary_of(tmp_path / "out")
     assert written["vanishing"]["guiding_min_at_score_zeros_on_path"] is None
     assert len(pd.read_csv(tmp_path / "out" / "zeros.csv")) == len(summary["zeros"])
+
+
+def test_every_part_has_its_own_winding_number():
+    centre = Zero(np.zeros(2), 1, "centre", False, "guiding", np.zeros(2, complex), 0.0)
+    parts = (FieldZeros(count * (centre,), count + 3, 0, 0) for count in (0, 1, 2))
+    box = (np.full(2, -1.0), np.ones(2))
+    summary = singularity_summary(Singularities(box, *parts))
+    for count, prefix in enumerate(("", "score_", "tangent_")):
+        assert summary[f"{prefix}index_sum"] == count
+        assert summary[f"{prefix}winding_number"] == count + 3
 
 
 def test_every_kind_has_its_mark():

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from sgvf_drake.experiments import run_verify
+from sgvf_drake.experiments.verify import verification_summary
 from sgvf_drake.fields import PaperComposition, Perceptron
 from sgvf_drake.lyapunov import verify
 from sgvf_drake.paths import Piece, ReferencePath
@@ -102,14 +103,30 @@ def test_without_a_band_nobody_follows(tmp_path, circle):
     assert stored["assumptions"]["a3"]["remained_fraction"] is None
 
 
-def test_an_agent_that_leaves_ends_the_claim(tmp_path, monkeypatch, circle):
+@pytest.fixture(scope="module")
+def found(circle, coarse_grid):
+    """The verification of that field with one noise level of V."""
+    field, (path, _) = circle
+    return verify(field, path, ratios=(1.0,))
+
+
+def test_a_flow_outwards_at_one_level_is_told(circle, found):
+    for least, inward in ((1e-3, True), (-1e-3, False)):
+        e_star = found.margins.e_star.copy()
+        e_star[3] = least
+        planted = replace(found, margins=replace(found.margins, e_star=e_star))
+        summary = verification_summary(circle[0], planted)
+        assert summary["e_star_min"] == least
+        assert summary["assumptions"]["a3"]["inward"] is inward
+
+
+def test_an_agent_that_leaves_ends_the_claim(tmp_path, monkeypatch, circle, found):
     """The samples are made to say that V falls on levels where it does not."""
     field, path = circle
 
     def outward(self, x):
         return 1.0 * x
 
-    found = verify(field, path[0], ratios=(1.0,))
     monkeypatch.setitem(run_verify.__globals__, "verify", lambda *_, **__: found)
     monkeypatch.setattr(type(field), "_value", outward)
     summary = run_verify(field, path, tmp_path / "out", starts=36)

@@ -55,6 +55,17 @@ def test_the_weight_is_a_gaussian_of_three_noise_levels_and_another_end_only_add
     np.testing.assert_allclose(two, one + other - one * other, rtol=1e-10, atol=1e-15)
 
 
+def test_a_widened_field_has_more_room_to_come_to_rest():
+    distance = SIGMA * np.array([1.0, 4.0, 9.0])
+    z = ONE + distance[:, None] * np.array([0.6, -0.8])
+    for length in SIGMA * np.array([0.5, 2.0, 6.0]):
+        composition = replace(COMPOSITION, gain=SIGMA**2 / length)
+        width = 3 * max(SIGMA, length / 2)
+        expected = np.exp(-0.5 * (distance / width) ** 2)
+        found = Rest.at(ONE, composition).weight(z)
+        np.testing.assert_allclose(found, expected, rtol=1e-10)
+
+
 # A field with ends.
 
 

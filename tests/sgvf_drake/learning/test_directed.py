@@ -146,6 +146,22 @@ def test_a_field_that_misses_turns_fails_its_check() -> None:
     assert check_directed(field).passed
 
 
+def test_a_path_is_driven_from_its_very_start() -> None:
+    """Backwards for its first 1.5, and then as it should be."""
+    t = np.linspace(-1.5, 1.5, 400)
+    cloud = PointCloud(np.column_stack([3 * t**3 - 3 * t, 3 * t**2]))
+    field = train(cloud, TrainingConfig(recipe="exact", max_restarts=0)).field
+    assert isinstance(field, DirectedField)
+    strands, start = field.strands, field.network.edges[0].line.vertices[0]
+    assert isinstance(strands, StrandMixture)
+    assert check_directed(field).passed
+    away = np.linalg.norm(cloud.denormalize(strands.points) - start, axis=1)
+    directions = np.where(away[:, None] < 1.5, -1, 1) * strands.directions
+    broken = replace(field, strands=replace(strands, directions=directions))
+    fault = next(f for f in check_directed(broken).pieces[0].faults if f.kind == "skip")
+    assert np.linalg.norm(fault.point - start) < 1.5
+
+
 @pytest.mark.parametrize(("degrees", "kept"), [(30, False), (60, True)])
 def test_who_turns_off_at_a_crossing_without_a_route_fails_the_check(
     degrees: float, kept: bool

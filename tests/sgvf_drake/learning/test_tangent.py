@@ -145,6 +145,22 @@ def test_waypoints_without_a_hint_are_left_out():
     assert terms["direction"].item() == pytest.approx(0, abs=1e-6)
 
 
+@pytest.mark.parametrize(("sigma", "noise"), [(0.02, 0.02), (0.5, 0.1)])
+def test_neighbours_are_no_farther_than_a_noise_level(sigma, noise):
+    seen = []
+
+    def network(x):
+        seen.append(x)
+        return torch.tensor([[0.0, 1.0]]).expand(len(x), 2)
+
+    points, hint = torch.zeros(1, 2), torch.tensor([[1.0, 0.0]])
+    robust_tangent_loss(network, lambda x: -x, points, hint, sigma, 1_000, ONES)()
+    # The places and their neighbours, and of each of these those by the waypoint first.
+    x = seen[0].reshape(-1, 1_000, 2)
+    assert x[0, :600].std().item() == pytest.approx(noise, rel=0.1)
+    assert (x[1:] - x[0]).std().item() == pytest.approx(noise, rel=0.1)
+
+
 def terms_and_gradients(recipe, weights):
     """The loss terms of one batch, always the same, and the gradient of their sum."""
     torch.manual_seed(4)

@@ -5,6 +5,7 @@ import pytest
 
 from sgvf_drake.fields import GaussianMixture
 from sgvf_drake.lyapunov import LyapunovFunction, sublevel_set
+from sgvf_drake.lyapunov.sublevel import _holes
 from sgvf_drake.paths import Piece, ReferencePath
 from tests import helpers
 
@@ -103,3 +104,11 @@ def test_it_scales_with_the_unit():
     one, other = sublevel_set(plain, 1.0, path, BOX), sublevel_set(function, 1.0, scaled, box)
     assert other.area == pytest.approx(unit**2 * one.area, rel=1e-3)
     assert other.half_width == pytest.approx(unit * one.half_width, rel=1e-2)
+
+
+def test_a_hole_hangs_together_across_a_corner():
+    """As a set that hangs together along edges leaves it."""
+    corner, apart = np.ones((2, 4, 5), int)
+    corner[1, 1] = corner[2, 2] = 0
+    apart[1, 1] = apart[2, 3] = 0
+    assert (_holes(corner, 1), _holes(apart, 1)) == (1, 2)

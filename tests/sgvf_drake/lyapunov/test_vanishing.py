@@ -131,6 +131,14 @@ def test_the_claim_on_low_density_is_about_the_medial_axis_at_best(measured, con
     assert summary["density_correlation"] < -0.8
     assert not summary["low_density"]["holds"]
     assert summary["low_density_off_path"]["holds"]
+    # The share of pairs, over the middles of other cells that are off the path.
+    (lower, upper), steps = field.cloud.box, (np.arange(300) + 0.5) / 300
+    x = lower + (upper - lower) * np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    off = concentric[1].project(x).distance > 3 * field.mixture.sigma
+    score = vanishing.score[vanishing.score.isolated & ~vanishing.score.on_path]
+    denser = field.mixture.log_density(x[off]) > score.log_density.to_numpy()[:, None]
+    probability = summary["low_density_off_path"]["probability"]
+    assert probability == pytest.approx(denser.mean(), abs=5e-3)
     small = summary["small_score"]
     assert small["near_path"] > 0.9
     assert small["low_density"] < 0.1

@@ -152,6 +152,14 @@ def test_the_border_belongs_to_the_box():
     check_planted(search, [[4.999999, 2]], [1])
 
 
+def test_rounding_loses_no_zero_on_the_border():
+    # The sine is flat there: its zeros are rounded by many times what the border is.
+    for border in np.linspace(1.2, 1.5, 25):
+        field = Written(f"sin(x) - {float(np.sin(border))!r}", "y")
+        search = find_zeros(field, (np.array([0.0, -1.0]), np.array([border, 1.0])))
+        check_planted(search, [[border, 0.0]], [1])
+
+
 def test_a_field_without_zeros_has_none():
     for parts in (("1 + x**2", "y"), ("1e-6 + x**2", "y"), ("0.3", "-0.4")):
         check_planted(find_zeros(Written(*parts), BOX), [], [])
@@ -226,6 +234,19 @@ def test_a_line_of_zeros_is_one_undecided_place():
     assert search.indices.tolist() == [1, 0]
     assert np.allclose(search.points[0], 0, atol=1e-12)
     assert np.linalg.norm(search.points[1]) == pytest.approx(1)
+
+
+def test_a_zero_beside_a_line_of_zeros_counts_once():
+    # Just inside of the cells around the ring's, and found from the cell beside those.
+    x, y = -8 * SIDE + 0.02 * SIDE, 0.3 * SIDE
+    for sign in (1, -1):
+        field = Written(
+            f"(1 - x**2 - y**2) * (x - {x})", f"{sign} * (1 - x**2 - y**2) * (y - {y})"
+        )
+        search = find_zeros(field, BOX)
+        assert search.undecided == 1
+        assert search.indices.sum() == winding_number(field, box_corners(BOX)) == sign
+        assert np.allclose(search.points[~search.degenerate], [[x, y]], atol=1e-9)
 
 
 def test_a_line_of_zeros_out_of_the_box_is_refused():

@@ -6,6 +6,7 @@ import pytest
 from sgvf_drake.clouds import PointCloud
 from sgvf_drake.fields import GuidingField
 from sgvf_drake.paper.along_path import (
+    GRID_SIZE,
     SHORTEST,
     SPACING,
     direction_row,
@@ -86,6 +87,17 @@ def test_only_a_stretch_of_some_length_is_a_conflict(length, conflicts, unit):
     assert (len(piece.sources), len(piece.sinks)) == (conflicts, conflicts)
 
 
+def test_a_stretch_of_the_least_length_is_one_wherever_the_samples_begin():
+    samples = sample_path(shape_path("circle"), 1.0)
+    least = int(np.ceil(SHORTEST / samples.steps[0]))
+    for first in (10, -2):
+        for length, conflicts in ((least, 1), (least - 1, 0)):
+            vectors = samples.tangents.copy()
+            vectors[np.arange(first, first + length)] *= -1
+            (piece,) = directions(samples, vectors, 1.0)
+            assert (len(piece.sources), len(piece.sinks)) == (conflicts, conflicts)
+
+
 def test_an_open_line_may_have_a_source_alone():
     line = ReferencePath((Piece(np.array([[-2.0, 0.0], [2.0, 0.0]]), closed=False),))
     samples = sample_path(line, 1.0)
@@ -118,6 +130,9 @@ def test_lengths_are_those_of_a_linear_tangent(circle, turning_field):
     assert once["v_box_min"] == pytest.approx(0.0, abs=1e-12)
     assert once["v_box"] == pytest.approx(0.7652 * 1.25, rel=0.02)
     assert once["fading"] == pytest.approx(once["v_near"] / once["v_away"])
+    # Away: more than U = R / 4 from the circle.
+    r = np.hypot(*np.meshgrid(*[np.linspace(-1.25, 1.25, GRID_SIZE)] * 2))
+    assert once["v_away"] == pytest.approx(r[np.abs(r - 1) > 0.25].mean(), rel=1e-3)
     for name in ("v_path", "v_box", "v_box_sd", "v_near", "v_away"):
         assert twice[name] == pytest.approx(2 * once[name])
     # Without a score, |m| - 1 is |v| - 1.

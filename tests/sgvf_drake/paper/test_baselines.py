@@ -138,6 +138,13 @@ def test_the_effort_on_a_circle_is_its_curvature(speed):
     assert effort(run, everything(run), UNIT) == pytest.approx(1 / 2.0, rel=1e-9)
 
 
+def test_a_way_has_its_first_sample_and_its_last():
+    values = np.arange(10)[:, None] + 100 * np.arange(3)
+    good = np.array([True, False, True])
+    ways = Ways(good, begin=np.array([2, 0, 9]), until=np.array([4, 9, 9]))
+    assert [own.tolist() for own in ways.each(values)] == [[2, 3, 4], [209]]
+
+
 def test_without_success_there_is_neither_error_nor_effort():
     run = run_of(np.zeros((100, 2)), errors=np.zeros((100, 1)))
     ways = replace(everything(run), good=np.zeros(1, bool))

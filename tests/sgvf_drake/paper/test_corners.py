@@ -73,6 +73,8 @@ def test_the_least_speed_is_read_near_corners_and_on_the_middle_of_sides():
     speed = np.full((4, 100), 0.9)
     # 0.4 U before corner 2 (side 1 ends there), and past the window of corner 0.
     speed[1, 95] = 0.1
+    # And after it, which is the same corner.
+    speed[2, 3] = 0.2
     speed[0, 8] = 0.2
     # Inside the middle of side 3, and outside of it.
     speed[3, 52] = 0.5

@@ -9,6 +9,7 @@ import pytest
 from scipy.integrate import quad
 
 from sgvf_drake import learning
+from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import GaussianMixture
 from sgvf_drake.paper import stein
 from sgvf_drake.paper.claims import Verdict
@@ -170,6 +171,12 @@ def test_the_kind_runs_on_exact_scores(run_kind, tmp_path):
     ]
 
 
+@pytest.mark.parametrize("draws", [0, CHUNK - 1, CHUNK + 1])
+def test_draws_that_do_not_fill_their_chunks_are_refused(draws):
+    with pytest.raises(ConfigurationError, match=f"multiple of {CHUNK}, not {draws}"):
+        SteinIdentity(draws=draws).measure(None)
+
+
 # Verdicts.
 
 DRAWN = [1_000, 2_000, 4_000, 8_000]
@@ -193,6 +200,13 @@ def rows_of(found, seeds=1):
     """Rows of trials that found so in each seed, of some scores."""
     trial = {"cloud": "circle", "sampling": "uniform", "found": found}
     return {SCORES: pd.DataFrame([{**trial, "seed": seed} for seed in range(seeds)])}
+
+
+@pytest.mark.parametrize(("error", "share"), [(0.0, 0.25), (0.003, 0.2), (0.009, 0.0)])
+def test_the_noise_of_the_draws_is_no_departure_from_the_identity(error, share):
+    found = {"residuals": [0.005] * 3, "errors": [error] * 3, "signals": [0.02] * 3}
+    (one,) = findings(rows_of({"exact": KEPT | found}, seeds=2)).to_dict("records")
+    assert one["share"] == pytest.approx(share)
 
 
 def verdicts(name="exact", **change):

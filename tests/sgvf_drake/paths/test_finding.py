@@ -67,6 +67,15 @@ def test_the_unit_and_the_place_change_nothing(name: str) -> None:
         assert np.linalg.norm(there.place - 20 * here.place - shift) < 0.05 * network.sigma * 20
 
 
+def test_a_network_in_another_unit_is_that_of_the_cloud_in_that_unit() -> None:
+    points = SHAPES["roundabout"].sample(300, 0.02, random=False, seed=1)
+    # A power of two: to the last bit.
+    here, there = (find_paths(PointCloud(factor * points)) for factor in (1, 4))
+    rescaled, found = (network.to_json() for network in (here.rescaled(4.0), there))
+    del rescaled["messages"], found["messages"]
+    assert rescaled == found
+
+
 @pytest.mark.parametrize("angle", [17.0, 45.0, 80.0])
 def test_turning_a_cloud_turns_its_network(angle: float) -> None:
     points = SHAPES["roundabout"].sample(400, 0.02, random=False, seed=3)
@@ -177,6 +186,16 @@ def test_demonstrations_of_one_motion() -> None:
     assert topology(decided) == STRAND
     assert decided.unsure is None
     assert decided.length == pytest.approx(mean, rel=0.1)
+
+
+def test_the_line_of_passes_side_by_side_reaches_both_of_their_ends() -> None:
+    x = np.linspace(0, 8, 200)
+    passes = [np.column_stack([x, np.full(200, y)]) for y in np.linspace(-0.3, 0.3, 7)]
+    network = find_paths(PointCloud(np.concatenate(passes)), passes=True)
+    assert topology(network) == STRAND
+    line = network.routes[0].line.vertices
+    assert line[:, 0].min() < network.sigma
+    assert line[:, 0].max() > 8 - network.sigma
 
 
 def fan(seed: int, bend: float) -> list[Array]:

@@ -3,9 +3,14 @@
 import numpy as np
 from numpy.typing import NDArray
 import pytest
+from scipy.stats import gamma
 
 from sgvf_drake.clouds import PointCloud
+from sgvf_drake.paths import Piece
+from sgvf_drake.paths.assembly import Graph, Strand
 from sgvf_drake.paths.finding import find_paths
+from sgvf_drake.paths.gaps import keep_away
+from sgvf_drake.paths.geometry import Chain, Course
 from tests.networks import LOOP, SHAPES, STRAND, Shape, Topology, topology
 
 Array = NDArray[np.float64]
@@ -72,3 +77,27 @@ def test_a_ring_narrower_than_the_scale(seed: int) -> None:
     alone = find_paths(PointCloud(shape.strands[0][::20]))
     assert topology(alone) == LOOP
     assert alone.unsure is None
+
+
+def stars(ways: Array) -> tuple[Graph, list[Chain], list[Course]]:
+    """Nodes with three arms of length one and nine waypoints, the first of them so far away."""
+    graph, routes, courses = Graph({}, {}), [], []
+    line = Piece(np.array([[0.0, 0.0], [1.0, 0.0]]), closed=False)
+    for number, way in enumerate(ways):
+        node = 4 * number
+        graph.places |= {node + k: np.zeros(2) for k in range(4)}
+        for arm in range(1, 4):
+            graph.strands[node + arm] = Strand(line.vertices, [node, node + arm])
+            routes.append(Chain(((node + arm, 0),), closed=False))
+            arc = np.linspace(way, 0.99, 9)
+            courses.append(Course(line, np.array([0.0, 1.0]), 0.0, np.arange(9), arc))
+    return graph, routes, courses
+
+
+@pytest.mark.parametrize(("chance", "nodes"), [(5e-4, 1), (5e-5, 10)])
+def test_of_many_nodes_one_may_be_a_less_likely_one(chance: float, nodes: int) -> None:
+    # The ways are a tenth on average; the sum of three of them has a gamma distribution.
+    usual, rare = 0.1, float(gamma.isf(chance, 3)) / 30
+    assert keep_away(*stars(np.array([rare] + (nodes - 1) * [usual])))
+    more = 3 * nodes - 1
+    assert not keep_away(*stars(np.array([rare] + more * [usual])))
