@@ -20,6 +20,7 @@ from sgvf_drake.cli.tables import (
     print_flight,
     print_folder,
     print_following,
+    print_live,
     print_messages,
     print_routes,
     print_tour,
@@ -169,7 +170,10 @@ def fly(
         bool, typer.Option("--html", help="Save recordings: pages that open offline.")
     ] = False,
     meshcat: Annotated[
-        bool, typer.Option("--meshcat", help="Show it live in a browser, at real time.")
+        bool,
+        typer.Option(
+            "--meshcat", help="Show it live in a browser, at real time, with sliders."
+        ),
     ] = False,
     tube: Annotated[
         Path | None,
@@ -228,7 +232,7 @@ def fly(
         laps=laps if laps is not None else 1.0 if directed or tour else 2.0,
         altitude=altitude,
         sensors=SensorParameters() if sensors else None,
-        disturbance=_disturbance_of(wind, gust),
+        disturbance=_disturbance_of(wind, gust, live=meshcat and craft is Quadrotor),
         gains=DEFAULT_GAINS._replace(
             heading=yaw, disturbance_bandwidth=DISTURBANCE_BANDWIDTH if compensate else 0.0
         ),
@@ -271,6 +275,7 @@ def fly(
         else:
             summary = run_fly(metric, chosen, out, spec, **options)
     shown(summary)
+    print_live(summary)
     print_folder(out)
 
 
@@ -301,12 +306,12 @@ def _routes_of(
     return covering_routes(network)
 
 
-def _disturbance_of(wind: str | None, gust: float) -> Any:
-    """Reads --wind and --gust; None without either."""
+def _disturbance_of(wind: str | None, gust: float, live: bool = False) -> Any:
+    """Reads --wind and --gust; None without either, but still air where a slider moves it."""
     from systems import Disturbance
 
     if wind is None and gust == 0:
-        return None
+        return Disturbance() if live else None
     try:
         air = [float(speed) for speed in (wind or "0,0").split(",")]
     except ValueError:
@@ -368,6 +373,10 @@ def _view(
     viewer = MakeMeshcat() if meshcat else None
     if viewer is not None:
         console.print(f"watch it at {viewer.web_url()}", highlight=False)
+        console.print(
+            "its sliders change the flight, which is in still air without --wind; Stop ends it",
+            highlight=False,
+        )
         if console.is_terminal:
             console.input("press Enter to take off ...")
     return View(html, viewer, curves)

@@ -184,6 +184,7 @@ def fly_route(
     figures = _figures(log, field, itinerary, spec)
     figures["route_completed"] &= simulated.is_over
     figures["real_time_factor"] = figures["duration_s"] / simulated.wall_s
+    figures["live"] = simulated.live
     return RouteResult(itinerary, log, figures, feasibility, spec)
 
 
