@@ -25,17 +25,20 @@ SPEED_STEPS = 200
 """Of a speed slider."""
 
 GAINS = {
-    "velocity_gain": ("1/s", 0.5, 6.0, 0.1),
-    "attitude_bandwidth": ("rad/s", 6.0, 20.0, 0.5),
-    "damping_ratio": ("", 0.3, 1.5, 0.05),
+    "velocity_gain": (0.5, 6.0, 0.1),
+    "attitude_bandwidth": (6.0, 20.0, 0.5),
+    "damping_ratio": (0.3, 1.5, 0.05),
 }
-"""Unit, least value, greatest value and step of the gains that have a slider."""
+"""Least value, greatest value and step of the gains that have a slider."""
 
 STRONGEST_WIND = 5.0
 """m/s, on each axis, both ways."""
 
 WIND_STEP = 0.1
 """m/s."""
+
+DIGITS = 9
+"""After the point, of what is set: a slider multiplies its step, and rounds."""
 
 GAUGE_END = 2.0
 """Times what is allowed, where a gauge ends: what is allowed is its middle."""
@@ -181,9 +184,9 @@ class LiveControls:
             shown = self._meshcat.GetSliderValue(label)
             if shown != self._shown[label]:
                 self._shown[label] = shown
-                before = control.Get(context)
-                control.Set(context, shown)
-                change = Change(context.get_time(), control.name, before, shown, control.unit)
+                before, after = control.Get(context), round(shown, DIGITS)
+                control.Set(context, after)
+                change = Change(context.get_time(), control.name, before, after, control.unit)
                 self.changes.append(change)
         for name, Read in self._gauges.items():
             self._meshcat.SetSliderValue(name, min(Read(context), GAUGE_END))
@@ -254,9 +257,10 @@ def _GainControl(controller: Any, name: str, context: Context) -> Control:
         own = controller.GetMyMutableContextFromRoot(context)
         controller.SetGains(own, controller.GetGains(own)._replace(**{name: gain}))
 
-    unit, lower, upper, step = GAINS[name]
+    lower, upper, step = GAINS[name]
     start = Get(context)
-    return Control(name, unit, min(lower, start), max(upper, start), step, Get, Set)
+    # Without a unit, for which there is no room beside the name.
+    return Control(name, "", min(lower, start), max(upper, start), step, Get, Set)
 
 
 def _WindControls(plant: Any, context: Context) -> Iterator[Control]:

@@ -392,8 +392,7 @@ def simulate(
         wall_s = time.perf_counter() - begin
     log = flight_log(diagram, context, craft)
     if controls is not None:
-        columns = controls.Columns(log["time"].to_numpy())
-        log = log.assign(**{f"live_{name}": values for name, values in columns.items()})
+        log = _live_log(log, controls, lost=live["lost_control"] is not None)
     log["cross_track_error"] = reference.project(positions_of(log, field.dim)).distance
     left = None if watch is None else watch.exit
     return SimulatedFlight(log, wall_s, over, left, feasibility, live)
@@ -464,14 +463,15 @@ def _advance_live(
 ) -> tuple[bool, dict[str, Any]]:
     """Advances a flight that can be changed; returns whether it was over, and what was changed.
 
-    It is stopped after the take-off at the earliest, so that there is something to measure.  A
-    change with which the vehicle loses control ends it too.
+    It is changed and stopped after the take-off at the earliest, so that there is something to
+    measure.  A change with which the vehicle loses control ends it too.
     """
     context = simulator.get_mutable_context()
     over, stopped, lost, look, end = False, False, None, 0, duration
     try:
         while not stopped and look * LOOK_PERIOD < end:
-            controls.Apply(context)
+            if context.get_time() >= TAKE_OFF_S:
+                controls.Apply(context)
             look += 1
             simulator.AdvanceTo(look * LOOK_PERIOD)
             progress("fly", context.get_time(), max(duration, context.get_time()))
@@ -484,6 +484,16 @@ def _advance_live(
         lost = f"t = {context.get_time():.1f} s: {error}"
     changes = [change._asdict() for change in controls.changes]
     return over, {"changes": changes, "stopped": stopped, "lost_control": lost}
+
+
+def _live_log(log: pd.DataFrame, controls: LiveControls, lost: bool) -> pd.DataFrame:
+    """Returns a log with what was set at each sample; it ends where control was lost."""
+    columns = controls.Columns(log["time"].to_numpy())
+    log = log.assign(**{f"live_{name}": values for name, values in columns.items()})
+    if lost:
+        upright = (log[["roll", "pitch"]].abs() < np.pi / 2).all(axis=1)
+        log = log[np.logical_and.accumulate(upright)]
+    return log
 
 
 def flight_log(

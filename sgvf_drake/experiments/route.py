@@ -199,7 +199,7 @@ def _figures(
     turned, ends = _turned(itinerary, sigma)
     error, unit = log["cross_track_error"].to_numpy(), network.unit_length
     came = np.maximum.accumulate(error <= REACH_DISTANCE * unit)
-    way_off = math.ceil(WAY_OFF * unit / spec.speed / LOG_PERIOD)
+    way_off = min(math.ceil(WAY_OFF * unit / spec.speed / LOG_PERIOD), len(came))
     came[way_off:] = came[: len(came) - way_off]
     came[:way_off] = False
     flies = came & (log["mode"] == Mode.FOLLOW).to_numpy()

@@ -1,7 +1,7 @@
 """A flight as a scene in Meshcat: what stands still, and the recording."""
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context
 
+from sgvf_drake.exceptions import NonFiniteValueError
 from sgvf_drake.experiments.certified import CertifiedField
 from sgvf_drake.fields import DirectedField, FloatArray, GuidingField
 from systems import (
@@ -103,7 +104,9 @@ class FlightScene:
         finally:
             if controls is not None:
                 controls.Remove()
-        diagram.GetSubsystemByName("trail").DrawToEnd(simulator.get_context())
+        # Where a vehicle out of control is, may be nowhere.
+        with suppress(NonFiniteValueError):
+            diagram.GetSubsystemByName("trail").DrawToEnd(simulator.get_context())
         if self.pages is not None:
             visualizer.StopRecording()
             SaveRecording(self.meshcat, self.pages / f"{name}.html")
