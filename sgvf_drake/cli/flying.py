@@ -205,6 +205,7 @@ def fly(
     from systems import (
         DEFAULT_GAINS,
         DISTURBANCE_BANDWIDTH,
+        Disturbance,
         Quadrotor,
         SensorParameters,
         VehicleNamed,
@@ -239,6 +240,8 @@ def fly(
         heading=looks,
         seed=seed,
     )
+    if meshcat and spec.disturbance == Disturbance():
+        console.print("it flies in still air, whose drag slows it; --wind says otherwise")
     # Drake tells on its own where every Meshcat listens.
     logging.getLogger("drake").setLevel(logging.WARNING)
     path, kind = choose_reference(
@@ -373,10 +376,7 @@ def _view(
     viewer = MakeMeshcat() if meshcat else None
     if viewer is not None:
         console.print(f"watch it at {viewer.web_url()}", highlight=False)
-        console.print(
-            "its sliders change the flight, which is in still air without --wind; Stop ends it",
-            highlight=False,
-        )
+        console.print("its sliders change the flight, and Stop ends it")
         if console.is_terminal:
             console.input("press Enter to take off ...")
     return View(html, viewer, curves)

@@ -369,7 +369,8 @@ def simulate(
         guidance.SetHeading(guidance.GetMyMutableContextFromRoot(context), heading)
     SetNoiseSeed(diagram, context, spec.seed)
     watch = None if lyapunov is None else StopOnExit(simulator)
-    over, live, where, shown = False, None, f"piece {piece + 1}", f"flight_{piece + 1}"
+    live: dict[str, Any] = {}
+    over, where, shown = False, f"piece {piece + 1}", f"flight_{piece + 1}"
     if supervisor is not None:
         where, shown = "the tour", "tour"
     with (
@@ -395,7 +396,7 @@ def simulate(
         log = _live_log(log, controls, lost=live["lost_control"] is not None)
     log["cross_track_error"] = reference.project(positions_of(log, field.dim)).distance
     left = None if watch is None else watch.exit
-    return SimulatedFlight(log, wall_s, over, left, feasibility, live)
+    return SimulatedFlight(log, wall_s, over, left, feasibility, live or None)
 
 
 def _heading_system(heading: Literal["path"] | tuple[float, float]) -> Any:

@@ -135,7 +135,7 @@ def test_a_flight_leaves_a_page_and_can_be_watched_live(run, inputs, tmp_path, c
     assert run("fly", inputs / "field.safetensors", *options, *path, "--out", out) == 0
     printed = capsys.readouterr().out
     assert "watch it at http://localhost:" in printed
-    assert "still air without --wind" in printed
+    assert "it flies in still air" in printed
     files = [f"flight_1.{kind}" for kind in ("html", "parquet", "png")]
     assert names_in(out) == {*files, "summary.json"}
     assert "<html" in (out / "flight_1.html").read_text()
