@@ -40,10 +40,8 @@ WIND_STEP = 0.1
 DIGITS = 9
 """After the point, of what is set: a slider multiplies its step, and rounds."""
 
-GAUGE_END = 2.0
-"""Times what is allowed, where a gauge ends: what is allowed is its middle."""
-
-GAUGE_STEP = 0.01
+GAUGE_STEP = 0.001
+"""Of a gauge, which ends at 1."""
 
 
 class Control(NamedTuple):
@@ -128,8 +126,8 @@ class LiveControls:
         diagram: Has a `GuidanceLoop`; it is not a converted or cloned one.
         context: Of the whole diagram, with the values that the sliders start from.
         top_speed: The end of the speed sliders in m/s; None: `FASTEST` times each speed.
-        gauges: What is shown beside the sliders, by name, as a share of what is allowed, from
-            the Context of the whole diagram.
+        gauges: What is shown below the sliders, by name: a share from 0 to 1, which is read
+            from the Context of the whole diagram.
 
     Raises:
         ConfigurationError: if the diagram has no `GuidanceLoop`.
@@ -167,7 +165,7 @@ class LiveControls:
             for label, control in self.controls.items()
         }
         for name in self._gauges:
-            meshcat.AddSlider(name, 0.0, GAUGE_END, GAUGE_STEP, 0.0)
+            meshcat.AddSlider(name, 0.0, 1.0, GAUGE_STEP, 0.0)
 
     @property
     def stopped(self) -> bool:
@@ -189,7 +187,7 @@ class LiveControls:
                 change = Change(context.get_time(), control.name, before, after, control.unit)
                 self.changes.append(change)
         for name, Read in self._gauges.items():
-            self._meshcat.SetSliderValue(name, min(Read(context), GAUGE_END))
+            self._meshcat.SetSliderValue(name, min(Read(context), 1.0))
 
     def Columns(self, times: FloatArray) -> dict[str, FloatArray]:
         """Returns what was set at the samples of a log, by the name of each control.

@@ -172,7 +172,8 @@ def fly(
     meshcat: Annotated[
         bool,
         typer.Option(
-            "--meshcat", help="Show it live in a browser, at real time, with sliders."
+            "--meshcat",
+            help="Show it live in a browser, at real time, with sliders that change it.",
         ),
     ] = False,
     tube: Annotated[

@@ -91,10 +91,12 @@ class CertifiedField:
         number = np.searchsorted(levels, V, side="right") - 1
         return np.where(levels[-1] >= V, e_star[np.clip(number, 0, len(e_star) - 1)], 0.0)
 
-    def ratio(self, position: FloatArray, velocity: FloatArray, speed: float) -> float:
-        """Returns the velocity error of a vehicle over e*, which is inside of it below 1.
+    def error_and_margin(
+        self, position: FloatArray, velocity: FloatArray, speed: float
+    ) -> tuple[float, float]:
+        """Returns the velocity error of a vehicle and what its level tolerates, of the speed.
 
-        It is infinite where nothing is proved, or for a vehicle that is to stand still.
+        The error is infinite for a vehicle that is to stand still.
 
         Args:
             position: The first coordinates of p_WB, (2,) in m.
@@ -102,9 +104,9 @@ class CertifiedField:
             speed: Commanded speed, m/s.
         """
         x = position[None] / self.scale
-        margin = speed * float(self.e_star(self.V(x))[0])
         error = float(np.linalg.norm(velocity - speed * self.field(x)[0]))
-        return error / margin if margin > 0.0 else np.inf
+        margin = float(self.e_star(self.V(x))[0])
+        return error / speed if speed > 0.0 else np.inf, margin
 
 
 def certificate_file(path: str | Path) -> Path | None:

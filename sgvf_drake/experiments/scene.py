@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,8 +28,8 @@ from systems import (
 from systems.quadrotor import POSITION, VELOCITY
 
 LOOP = "guidance_loop"
-# What stands beside the gauge: the border of what is proved is its middle.
-MARGIN_GAUGE = "velocity error / e*"
+# What stands beside the gauges, whose figures are parts of the speed.
+MARGIN_GAUGES = ("velocity error", "margin e*")
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,18 +114,19 @@ class FlightScene:
             visualizer.DeleteRecording()
 
     def _gauges(self, diagram: Any) -> dict[str, Callable[[Context], float]]:
-        """Returns the velocity error over the margin, where a certificate proves one."""
+        """Returns the velocity error and the margin, where a certificate proves one."""
         if self.certified is None:
             return {}
         certified, guidance = self.certified, diagram.GetSubsystemByName(LOOP).guidance
         state_port = diagram.GetOutputPort("state")
 
-        def ratio(context: Context) -> float:
+        def figure(number: int, context: Context) -> float:
             state = state_port.Eval(context)
             speed = guidance.GetSpeed(guidance.GetMyContextFromRoot(context))
-            return certified.ratio(state[POSITION][:2], state[VELOCITY][:2], speed)
+            motion = state[POSITION][:2], state[VELOCITY][:2]
+            return certified.error_and_margin(*motion, speed)[number]
 
-        return {MARGIN_GAUGE: ratio}
+        return {name: partial(figure, number) for number, name in enumerate(MARGIN_GAUGES)}
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,7 @@ from systems import (
 
 from .test_meshcat_pages import ALTITUDE, BOX, START, RingField, ring
 
-SPEED, WIND, GAUGE = "speed [m/s]", "wind x [m/s]", "velocity error / e*"
+SPEED, WIND, GAUGE = "speed [m/s]", "wind x [m/s]", "velocity error"
 # s; of the way from the page to the server.
 PATIENCE = 60.0
 

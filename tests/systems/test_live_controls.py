@@ -17,7 +17,7 @@ from systems import (
     QuadrotorParameters,
     SetHover,
 )
-from systems.live_controls import GAUGE_END, STOP, STRONGEST_WIND
+from systems.live_controls import STOP, STRONGEST_WIND
 
 from .flying import RINGS, TWO_RINGS, check_refusal
 
@@ -227,15 +227,15 @@ def test_the_button_stops(circle_field, meshcat):
 
 def test_gauges_show_shares_up_to_their_end(circle_field, meshcat):
     flight = Flight(circle_field)
-    gauges = {"share": lambda context: 0.5 + context.get_time(), "far": lambda context: np.inf}
+    gauges = {"share": lambda context: 0.1 + context.get_time(), "far": lambda context: np.inf}
     flight.controls = LiveControls(meshcat, flight.diagram, flight.context, gauges=gauges)
     flight.until(0.3)
-    assert meshcat.GetSliderValue("share") == pytest.approx(0.7)
-    assert meshcat.GetSliderValue("far") == GAUGE_END
+    assert meshcat.GetSliderValue("share") == pytest.approx(0.3)
+    assert meshcat.GetSliderValue("far") == 1.0
     # A gauge sets nothing.
-    meshcat.SetSliderValue("share", 1.0)
+    meshcat.SetSliderValue("share", 0.9)
     flight.until(0.5)
-    assert meshcat.GetSliderValue("share") == pytest.approx(0.9)
+    assert meshcat.GetSliderValue("share") == pytest.approx(0.5)
     assert flight.controls.changes == []
 
 
