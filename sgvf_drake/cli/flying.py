@@ -241,8 +241,6 @@ def fly(
         heading=looks,
         seed=seed,
     )
-    if meshcat and spec.disturbance == Disturbance():
-        console.print("it flies in still air, whose drag slows it; --wind says otherwise")
     # Drake tells on its own where every Meshcat listens.
     logging.getLogger("drake").setLevel(logging.WARNING)
     path, kind = choose_reference(
@@ -267,6 +265,8 @@ def fly(
         raise ConfigurationError(f"--tube {tube} is shown by --html or --meshcat; give one")
     if html or meshcat:
         options["view"] = _view(loaded, scale, speed, html, meshcat, tube or certificate)
+    if meshcat and spec.disturbance == Disturbance():
+        console.print("it flies in still air, whose drag slows it; --wind says otherwise")
     metric, chosen = loaded.rescaled(scale), (path.rescaled(scale), kind)
     shown = print_flight
     with progress() as report:
