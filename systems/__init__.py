@@ -29,6 +29,7 @@ from systems.kinematic import (
     MakeKinematicDiagram,
     SetPositions,
 )
+from systems.live_controls import Change, Control, LiveControls
 from systems.lyapunov_monitor import (
     AddLyapunovMonitor,
     DifferentiableFunction,
@@ -102,6 +103,8 @@ __all__ = [
     "BranchAlong",
     "BranchSupervisor",
     "BranchSupervisor_",
+    "Change",
+    "Control",
     "CourseController",
     "CourseController_",
     "DifferentiableFunction",
@@ -129,6 +132,7 @@ __all__ = [
     "IdealMotionCapture",
     "KinematicGuidance",
     "KinematicGuidance_",
+    "LiveControls",
     "LyapunovMonitor",
     "LyapunovMonitor_",
     "MakeBranches",

@@ -219,6 +219,19 @@ def BranchSupervisor_(T: type) -> Any:  # noqa: D103 (the class below says it)
             for name, entry in entries.items():
                 self.DeclareVectorOutputPort(name, 1, partial(self._CopyEntry, entry), {memory})
 
+        @property
+        def num_branches(self) -> int:
+            """The number of branches."""
+            return self._num_branches
+
+        @property
+        def num_edges(self) -> int:
+            """The number of edges of the network of a directed field; 0 without one."""
+            if self._heading is None:
+                return 0
+            field: Any = self._supervision.field
+            return len(field.network.edges)
+
         def GetBranch(self, context: Any) -> int:
             """Returns the wanted branch: a number, `HOLD_POSITION` or `ON_TOUR`."""
             return int(self._Settings(context).branch)
@@ -356,8 +369,7 @@ def BranchSupervisor_(T: type) -> Any:  # noqa: D103 (the class below says it)
             if not self._next_edge.HasValue(context):
                 return heading, 0, order
             number = float(self._EvalFinite(context, self._next_edge)[0])
-            field: Any = self._supervision.field
-            count = len(field.network.edges)
+            count = self.num_edges
             if number not in range(-count, count + 1):
                 raise ConfigurationError(
                     f"next_edge must be the number of one of the {count} edges, got {number:g}"

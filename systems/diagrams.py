@@ -170,7 +170,7 @@ def SetVehicleState(
         raise ConfigurationError(f"state must have shape ({size},), got {values.shape}")
     if not np.isfinite(values).all():
         raise NonFiniteValueError(f"the vehicle's state must be finite: {values.tolist()}")
-    plant: Any = _FindPlant(diagram, found)
+    plant: Any = FindPlant(diagram, found)
     if hasattr(plant, "SetVehicleState"):
         plant.SetVehicleState(context, values)
     else:
@@ -196,7 +196,7 @@ def SetNoiseSeed(
             cloned one.
     """
     found, generator = _FindLoop(diagram, loop), RandomGenerator(seed)
-    for system in (found.motion_capture, _FindPlant(diagram, found)):
+    for system in (found.motion_capture, FindPlant(diagram, found)):
         if isinstance(system, Diagram):
             DrawNoise(system, system.GetMyMutableContextFromRoot(context), generator)
 
@@ -224,8 +224,12 @@ def _FindLoop(diagram: Diagram, name: str | None) -> GuidanceLoop:
     )
 
 
-def _FindPlant(diagram: Diagram, loop: GuidanceLoop) -> System:
-    """Returns what a loop commands."""
+def FindPlant(diagram: Diagram, loop: GuidanceLoop) -> System:
+    """Returns the vehicle that a loop commands.
+
+    Raises:
+        ConfigurationError: if it commands none in this diagram.
+    """
     port = loop.GetOutputPort(loop.actuation).get_index()
     for (target, _), source in diagram.connection_map().items():
         if source == (loop, port) and target.HasOutputPort("state"):

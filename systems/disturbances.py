@@ -31,6 +31,9 @@ from systems.scalars import (
     CheckPositiveParameter,
 )
 
+MEAN_WIND = "mean_wind"
+"""The source of the mean wind in a plant; its value is a parameter of the Context."""
+
 GUST_PERIOD = 0.01
 """s; the gusts change so often, which is much faster than they fade."""
 
@@ -176,7 +179,7 @@ def _MakeDrift(rate: float) -> LinearSystem:
 def AddWind(builder: DiagramBuilder, disturbance: Disturbance) -> OutputPort:
     """Adds the mean wind and the gusts; returns the velocity of the air (3,)."""
     mean_wind: Any = np.array(disturbance.wind)
-    mean = builder.AddNamedSystem("mean_wind", ConstantVectorSource(mean_wind))
+    mean = builder.AddNamedSystem(MEAN_WIND, ConstantVectorSource(mean_wind))
     if disturbance.gust == 0.0:
         return mean.get_output_port()
     noise = builder.AddNamedSystem(

@@ -20,6 +20,7 @@ from sgvf_drake.cli.tables import (
     print_flight,
     print_folder,
     print_following,
+    print_live,
     print_messages,
     print_routes,
     print_tour,
@@ -169,7 +170,11 @@ def fly(
         bool, typer.Option("--html", help="Save recordings: pages that open offline.")
     ] = False,
     meshcat: Annotated[
-        bool, typer.Option("--meshcat", help="Show it live in a browser, at real time.")
+        bool,
+        typer.Option(
+            "--meshcat",
+            help="Show it live in a browser, at real time, with sliders that change it.",
+        ),
     ] = False,
     tube: Annotated[
         Path | None,
@@ -201,6 +206,7 @@ def fly(
     from systems import (
         DEFAULT_GAINS,
         DISTURBANCE_BANDWIDTH,
+        Disturbance,
         Quadrotor,
         SensorParameters,
         VehicleNamed,
@@ -228,7 +234,7 @@ def fly(
         laps=laps if laps is not None else 1.0 if directed or tour else 2.0,
         altitude=altitude,
         sensors=SensorParameters() if sensors else None,
-        disturbance=_disturbance_of(wind, gust),
+        disturbance=_disturbance_of(wind, gust, live=meshcat and craft is Quadrotor),
         gains=DEFAULT_GAINS._replace(
             heading=yaw, disturbance_bandwidth=DISTURBANCE_BANDWIDTH if compensate else 0.0
         ),
@@ -259,6 +265,8 @@ def fly(
         raise ConfigurationError(f"--tube {tube} is shown by --html or --meshcat; give one")
     if html or meshcat:
         options["view"] = _view(loaded, scale, speed, html, meshcat, tube or certificate)
+    if meshcat and spec.disturbance == Disturbance():
+        console.print("it flies in still air, whose drag slows it; --wind says otherwise")
     metric, chosen = loaded.rescaled(scale), (path.rescaled(scale), kind)
     shown = print_flight
     with progress() as report:
@@ -271,6 +279,7 @@ def fly(
         else:
             summary = run_fly(metric, chosen, out, spec, **options)
     shown(summary)
+    print_live(summary)
     print_folder(out)
 
 
@@ -301,12 +310,12 @@ def _routes_of(
     return covering_routes(network)
 
 
-def _disturbance_of(wind: str | None, gust: float) -> Any:
-    """Reads --wind and --gust; None without either."""
+def _disturbance_of(wind: str | None, gust: float, live: bool = False) -> Any:
+    """Reads --wind and --gust; None without either, but still air where a slider moves it."""
     from systems import Disturbance
 
     if wind is None and gust == 0:
-        return None
+        return Disturbance() if live else None
     try:
         air = [float(speed) for speed in (wind or "0,0").split(",")]
     except ValueError:
@@ -368,6 +377,7 @@ def _view(
     viewer = MakeMeshcat() if meshcat else None
     if viewer is not None:
         console.print(f"watch it at {viewer.web_url()}", highlight=False)
+        console.print("its sliders change the flight, and Stop ends it")
         if console.is_terminal:
             console.input("press Enter to take off ...")
     return View(html, viewer, curves)

@@ -157,6 +157,24 @@ def _margin(found: Mapping[str, Any]) -> str:
     )
 
 
+def print_live(summary: Mapping[str, Any]) -> None:
+    """Prints what was changed in flights by sliders, a line each, and what ended them."""
+    from systems import Change
+
+    flights = summary.get("pieces") or summary.get("routes") or [summary]
+    for number, live in enumerate((flight.get("live") for flight in flights), start=1):
+        if live is None:
+            continue
+        lines = [str(Change(**change)) for change in live["changes"]]
+        lines += ["stopped by its button"] * live["stopped"]
+        flight = f"flight {number}, " if len(flights) > 1 else ""
+        for line in lines:
+            console.print(f"{flight}{line}", highlight=False, soft_wrap=True)
+        if live["lost_control"]:
+            message = f"warning: {flight}the vehicle lost control at {live['lost_control']}"
+            errors.print(message, style="bold red", soft_wrap=True, markup=False)
+
+
 def print_tour(summary: Mapping[str, Any]) -> None:
     """Prints the summary of a tour, a row for each leg and each transfer in turn."""
 

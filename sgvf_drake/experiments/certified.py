@@ -91,6 +91,23 @@ class CertifiedField:
         number = np.searchsorted(levels, V, side="right") - 1
         return np.where(levels[-1] >= V, e_star[np.clip(number, 0, len(e_star) - 1)], 0.0)
 
+    def error_and_margin(
+        self, position: FloatArray, velocity: FloatArray, speed: float
+    ) -> tuple[float, float]:
+        """Returns the velocity error of a vehicle and what its level tolerates, of the speed.
+
+        The error is infinite for a vehicle that is to stand still.
+
+        Args:
+            position: The first coordinates of p_WB, (2,) in m.
+            velocity: Those of v_WB, (2,) in m/s.
+            speed: Commanded speed, m/s.
+        """
+        x = position[None] / self.scale
+        error = float(np.linalg.norm(velocity - speed * self.field(x)[0]))
+        margin = float(self.e_star(self.V(x))[0])
+        return error / speed if speed > 0.0 else np.inf, margin
+
 
 def certificate_file(path: str | Path) -> Path | None:
     """Returns the file of a certificate from itself or its folder; None: it holds none."""

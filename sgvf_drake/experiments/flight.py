@@ -29,6 +29,7 @@ from systems import (
     Feasibility,
     Gains,
     HeadingSystem,
+    LiveControls,
     MakeFlightDiagram,
     MakeSimulator,
     Quadrotor,
@@ -67,6 +68,9 @@ SLOWED = 0.5
 LOOK_PERIOD = 0.1
 # Points of each piece of the reference at which the demand of the path is read.
 DEMAND_SAMPLES = 2_000
+# The slider of the speed ends at what the vehicle can follow the path with, or at so many times
+# the commanded speed.
+TOP_SPEED = 5.0
 
 
 @dataclass(frozen=True)
@@ -274,6 +278,9 @@ class SimulatedFlight(NamedTuple):
         exit: Where and when the vehicle left the sublevel set that it was to stay in, which
             ended the flight; None: it did not, or there was none.
         feasibility: The demand of the path at the commanded speed.
+        live: What was changed by sliders while it was simulated, and how it ended, by the names
+            of `summary.json`; None: it was not live.  The log of a live flight has a column
+            `live_...` more for each slider.
     """
 
     log: pd.DataFrame
@@ -281,6 +288,7 @@ class SimulatedFlight(NamedTuple):
     is_over: bool
     exit: SublevelExit | None
     feasibility: Feasibility
+    live: dict[str, Any] | None = None
 
 
 def simulate(
@@ -361,23 +369,34 @@ def simulate(
         guidance.SetHeading(guidance.GetMyMutableContextFromRoot(context), heading)
     SetNoiseSeed(diagram, context, spec.seed)
     watch = None if lyapunov is None else StopOnExit(simulator)
+    live: dict[str, Any] = {}
     over, where, shown = False, f"piece {piece + 1}", f"flight_{piece + 1}"
     if supervisor is not None:
         where, shown = "the tour", "tour"
     with (
         _lost_control_named(where, spec.speed, feasibility),
-        nullcontext() if scene is None else scene.show(simulator, page or shown),
+        nullcontext()
+        if scene is None
+        else scene.show(
+            simulator, page or shown, _top_speed(spec.speed, feasibility)
+        ) as controls,
     ):
         begin = time.perf_counter()
-        if is_over is None:
+        if controls is not None:
+            over, live = _advance_live(
+                simulator, controls, is_over, rest, spec.duration, progress
+            )
+        elif is_over is None:
             advance(simulator, spec.duration, LOG_PERIOD, "fly", progress)
         else:
             over = _advance_until(simulator, is_over, rest, spec.duration, progress)
         wall_s = time.perf_counter() - begin
     log = flight_log(diagram, context, craft)
+    if controls is not None:
+        log = _live_log(log, controls, lost=live["lost_control"] is not None)
     log["cross_track_error"] = reference.project(positions_of(log, field.dim)).distance
     left = None if watch is None else watch.exit
-    return SimulatedFlight(log, wall_s, over, left, feasibility)
+    return SimulatedFlight(log, wall_s, over, left, feasibility, live or None)
 
 
 def _heading_system(heading: Literal["path"] | tuple[float, float]) -> Any:
@@ -398,6 +417,15 @@ def _lost_control_named(where: str, speed: float, feasibility: Feasibility) -> I
             f"the path demands {feasibility.demand:.1f} m/s^2 and the thrust allows "
             f"{feasibility.limit:.1f} m/s^2; choose a lower speed"
         ) from error
+
+
+def _top_speed(speed: float, feasibility: Feasibility) -> float:
+    """Returns the speed up to which a vehicle can follow a path, but not too many times more.
+
+    What the path demands grows as the square of the speed, or less.
+    """
+    ratio = feasibility.limit / max(feasibility.demand, 1e-9)
+    return speed * min(TOP_SPEED, max(1.0, float(np.sqrt(ratio))))
 
 
 def _is_past_end(loop: Any, velocity: slice, speed: float, context: Context) -> bool:
@@ -424,6 +452,49 @@ def _advance_until(
             simulator.AdvanceTo(now + rest)
             return True
     return False
+
+
+def _advance_live(
+    simulator: Simulator,
+    controls: LiveControls,
+    is_over: Callable[[Context], bool] | None,
+    rest: float,
+    duration: float,
+    progress: Progress,
+) -> tuple[bool, dict[str, Any]]:
+    """Advances a flight that can be changed; returns whether it was over, and what was changed.
+
+    It is changed and stopped after the take-off at the earliest, so that there is something to
+    measure.  A change with which the vehicle loses control ends it too.
+    """
+    context = simulator.get_mutable_context()
+    over, stopped, lost, look, end = False, False, None, 0, duration
+    try:
+        while not stopped and look * LOOK_PERIOD < end:
+            if context.get_time() >= TAKE_OFF_S:
+                controls.Apply(context)
+            look += 1
+            simulator.AdvanceTo(look * LOOK_PERIOD)
+            progress("fly", context.get_time(), max(duration, context.get_time()))
+            if is_over is not None and not over and is_over(context):
+                over, end = True, context.get_time() + rest
+            stopped = controls.stopped and context.get_time() > TAKE_OFF_S
+    except (RuntimeError, NonFiniteValueError) as error:
+        if not controls.changes:
+            raise
+        lost = f"t = {context.get_time():.1f} s: {error}"
+    changes = [change._asdict() for change in controls.changes]
+    return over, {"changes": changes, "stopped": stopped, "lost_control": lost}
+
+
+def _live_log(log: pd.DataFrame, controls: LiveControls, lost: bool) -> pd.DataFrame:
+    """Returns a log with what was set at each sample; it ends where control was lost."""
+    columns = controls.Columns(log["time"].to_numpy())
+    log = log.assign(**{f"live_{name}": values for name, values in columns.items()})
+    if lost:
+        upright = (log[["roll", "pitch"]].abs() < np.pi / 2).all(axis=1)
+        log = log[np.logical_and.accumulate(upright)]
+    return log
 
 
 def flight_log(

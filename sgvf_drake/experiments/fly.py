@@ -177,6 +177,7 @@ def _summary(
         "open": not closed,
         "laps": abs(float(metrics.laps[0])) if closed else None,
         "ended": None if closed else flown.is_over or _came_to_rest(metrics, piece),
+        "live": flown.live,
     }
     if isinstance(craft, Quadrotor):
         above = measured["z"].to_numpy() - spec.altitude

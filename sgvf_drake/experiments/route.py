@@ -184,6 +184,7 @@ def fly_route(
     figures = _figures(log, field, itinerary, spec)
     figures["route_completed"] &= simulated.is_over
     figures["real_time_factor"] = figures["duration_s"] / simulated.wall_s
+    figures["live"] = simulated.live
     return RouteResult(itinerary, log, figures, feasibility, spec)
 
 
@@ -198,7 +199,7 @@ def _figures(
     turned, ends = _turned(itinerary, sigma)
     error, unit = log["cross_track_error"].to_numpy(), network.unit_length
     came = np.maximum.accumulate(error <= REACH_DISTANCE * unit)
-    way_off = math.ceil(WAY_OFF * unit / spec.speed / LOG_PERIOD)
+    way_off = min(math.ceil(WAY_OFF * unit / spec.speed / LOG_PERIOD), len(came))
     came[way_off:] = came[: len(came) - way_off]
     came[:way_off] = False
     flies = came & (log["mode"] == Mode.FOLLOW).to_numpy()

@@ -252,7 +252,7 @@ def run_fly(
     names = [f"flight_{n}.{suffix}" for n in pieces for suffix in ("png", "parquet", "html")]
     files = (SUMMARY, CERTIFICATE_FIGURE, *names)
     with result_folder(out, files, overwrite=overwrite) as folder:
-        result = fly(field, path, spec, progress=progress, scene=view.scene(folder))
+        result = fly(field, path, spec, progress=progress, scene=view.scene(folder, certified))
         flown = spec.craft.FlownField(field, spec.speed)
         for flight in result.flights:
             stem = folder / f"flight_{flight.piece + 1}"

@@ -61,6 +61,7 @@ class TourResult:
         feasibility: The demand of the path at the commanded speed.
         parameters: The vehicle.
         real_time_factor: Simulated over wall time.
+        live: What was changed while it was flown; see `SimulatedFlight`.
     """
 
     log: pd.DataFrame
@@ -70,6 +71,7 @@ class TourResult:
     feasibility: Feasibility
     parameters: QuadrotorParameters
     real_time_factor: float
+    live: dict[str, Any] | None = None
 
     def summary(self) -> dict[str, Any]:
         """Returns the figures by the names of `summary.json`."""
@@ -86,6 +88,7 @@ class TourResult:
             "real_time_factor": self.real_time_factor,
             "acceleration_demand_m_s2": self.feasibility.demand,
             "acceleration_limit_m_s2": self.feasibility.limit,
+            "live": self.live,
             "legs": self.legs,
             "transfers": self.transfers,
         }
@@ -164,6 +167,7 @@ def fly_tour(
         simulated.feasibility,
         spec.parameters,
         float(log["time"].iloc[-1]) / simulated.wall_s,
+        simulated.live,
     )
 
 
@@ -197,7 +201,9 @@ def _branches_of(
         raise ConfigurationError(
             f"the waypoints are in {len(pieces)} pieces, which are not those of the reference"
         )
-    return pieces, tuple(branches)
+    # In the order of the pieces, by which a slider numbers them.
+    order = sorted(range(len(pieces)), key=lambda number: pieces[number])
+    return [pieces[number] for number in order], tuple(branches[number] for number in order)
 
 
 def _stop(pieces: Sequence[int], piece: int) -> int:

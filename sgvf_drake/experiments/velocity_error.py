@@ -92,13 +92,16 @@ def velocity_error(
     """Returns |v_WB - speed m(p_WB)| over the dimensions of a field, (T,) as a part of speed.
 
     Args:
-        log: The log of a flight, in metres.
+        log: The log of a flight, in metres; of a live one the speed is that of each sample.
         field: m, in a unit of `scale` metres.
         speed: Commanded speed, m/s.
         scale: Metres in one unit of the field.
     """
     m = field(positions_of(log, field.dim) / scale)
-    return np.asarray(np.linalg.norm(velocities_of(log, field.dim) / speed - m, axis=1))
+    speeds = log["live_speed"].to_numpy()[:, None] if "live_speed" in log else speed
+    with np.errstate(divide="ignore", invalid="ignore"):
+        errors = velocities_of(log, field.dim) / speeds - m
+    return np.asarray(np.linalg.norm(errors, axis=1))
 
 
 def worst_of(pieces: Sequence[Mapping[str, Any]], name: str) -> float | None:

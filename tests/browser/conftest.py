@@ -149,6 +149,17 @@ class Page:
             f"({condition}) ? done() : requestAnimationFrame(look); look(); }})"
         )
 
+    def drag(self, begin, end):
+        """Presses the mouse at a place (x, y) in pixels, and lets it go at another."""
+        for kind, (x, y) in (
+            ("mousePressed", begin),
+            ("mouseMoved", end),
+            ("mouseReleased", end),
+        ):
+            self._send(
+                "Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1
+            )
+
     def screenshot(self):
         """Returns the next picture as (height, width, 3) in [0, 1], and as a PNG file."""
         self.evaluate("new Promise(done => requestAnimationFrame(() => setTimeout(done)))")

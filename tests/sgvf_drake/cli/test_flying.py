@@ -10,7 +10,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from systems import DISTURBANCE_BANDWIDTH, Disturbance, Mode, SensorParameters
+from sgvf_drake.cli.tables import print_live
+from systems import DISTURBANCE_BANDWIDTH, Change, Disturbance, Mode, SensorParameters
 from tests.fields import exact_field as exact_field_at
 from tests.fields import linear_network
 from tests.helpers import circle, ink, names_in, summary_of
@@ -132,11 +133,38 @@ def test_a_flight_leaves_a_page_and_can_be_watched_live(run, inputs, tmp_path, c
     path = ("--reference", inputs / "circle.csv")
     out = tmp_path / "out"
     assert run("fly", inputs / "field.safetensors", *options, *path, "--out", out) == 0
-    assert "watch it at http://localhost:" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "watch it at http://localhost:" in printed
+    assert "it flies in still air" in printed
     files = [f"flight_1.{kind}" for kind in ("html", "parquet", "png")]
     assert names_in(out) == {*files, "summary.json"}
     assert "<html" in (out / "flight_1.html").read_text()
-    assert summary_of(out)["reference"] == "file"
+    summary = summary_of(out)
+    assert summary["reference"] == "file"
+    # Air that the sliders can move, which nobody did.
+    assert summary["disturbance"]["wind"] == [0.0, 0.0, 0.0]
+    untouched = {"changes": [], "stopped": False, "lost_control": None}
+    assert summary["pieces"][0]["live"] == untouched
+    log = pd.read_parquet(out / "flight_1.parquet")
+    assert (log["live_speed"] == 2.0).all()
+
+
+def test_what_was_changed_in_flight_is_told_in_a_line_each(capsys):
+    faster = Change(3.2, "speed", 0.45, 0.8, "m/s")._asdict()
+    blown = Change(4.0, "wind_x", 0.0, -2.0, "m/s")._asdict()
+    ends = {"stopped": False, "lost_control": None}
+    first = {"changes": [faster, blown], **ends, "stopped": True}
+    second = {"changes": [faster], **ends, "lost_control": "t = 4.1 s: [nan]"}
+    lines = ("t = 3.2 s: speed 0.45 -> 0.8 m/s", "t = 4.0 s: wind x 0 -> -2 m/s")
+    print_live({"live": first})
+    assert capsys.readouterr().out.splitlines() == [*lines, "stopped by its button"]
+    print_live({"pieces": [{"live": first}, {"live": second}]})
+    printed = capsys.readouterr()
+    assert f"flight 2, {lines[0]}" in printed.out.splitlines()
+    told = "warning: flight 2, the vehicle lost control at t = 4.1 s: [nan]"
+    assert printed.err.splitlines() == [told]
+    print_live({"routes": [{"live": None}]})
+    assert capsys.readouterr() == ("", "")
 
 
 @pytest.mark.parametrize(
