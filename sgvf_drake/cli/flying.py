@@ -206,7 +206,6 @@ def fly(
     from systems import (
         DEFAULT_GAINS,
         DISTURBANCE_BANDWIDTH,
-        Disturbance,
         Quadrotor,
         SensorParameters,
         VehicleNamed,
@@ -234,7 +233,7 @@ def fly(
         laps=laps if laps is not None else 1.0 if directed or tour else 2.0,
         altitude=altitude,
         sensors=SensorParameters() if sensors else None,
-        disturbance=_disturbance_of(wind, gust, live=meshcat and craft is Quadrotor),
+        disturbance=_disturbance_of(wind, gust),
         gains=DEFAULT_GAINS._replace(
             heading=yaw, disturbance_bandwidth=DISTURBANCE_BANDWIDTH if compensate else 0.0
         ),
@@ -265,8 +264,6 @@ def fly(
         raise ConfigurationError(f"--tube {tube} is shown by --html or --meshcat; give one")
     if html or meshcat:
         options["view"] = _view(loaded, scale, speed, html, meshcat, tube or certificate)
-    if meshcat and spec.disturbance == Disturbance():
-        console.print("it flies in still air, whose drag slows it; --wind says otherwise")
     metric, chosen = loaded.rescaled(scale), (path.rescaled(scale), kind)
     shown = print_flight
     with progress() as report:
@@ -310,12 +307,12 @@ def _routes_of(
     return covering_routes(network)
 
 
-def _disturbance_of(wind: str | None, gust: float, live: bool = False) -> Any:
-    """Reads --wind and --gust; None without either, but still air where a slider moves it."""
+def _disturbance_of(wind: str | None, gust: float) -> Any:
+    """Reads --wind and --gust; None without either."""
     from systems import Disturbance
 
     if wind is None and gust == 0:
-        return Disturbance() if live else None
+        return None
     try:
         air = [float(speed) for speed in (wind or "0,0").split(",")]
     except ValueError:
