@@ -28,9 +28,11 @@ from systems.scalars import (
     ToFloat,
     ToList,
     ToVector,
+    compilable,
+    idle,
     remembered,
 )
-from systems.se3_law import Body, CalcAttitude, CalcPropellerInput, Gains
+from systems.se3_law import Body, CalcAcceleration, CalcPropellerInput, Gains
 
 DEFAULT_GAINS = Gains(
     velocity_gain=3.0, attitude_bandwidth=12.0, damping_ratio=0.7, heading=0.0
@@ -49,6 +51,7 @@ On a circle of 1 m, with a delay of 30 ms and wind of 3 m/s, it leaves 3 mm of 1
 
 @TemplateSystem.define("Se3Controller_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
 def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
+    @idle
     class Impl(LeafSystem_[T]):
         """Flies a quadrotor at a commanded velocity by geometric control on SE(3).
 
@@ -115,14 +118,28 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
             converter: Any = None,
         ) -> None:
             LeafSystem_[T].__init__(self, converter=converter)
-            _CheckGains(gains)
-            self._parameters = parameters or QuadrotorParameters()
-            self._saturate = saturate
             self._state = self.DeclareVectorInputPort("state", STATE_SIZE)
             self._velocity_command = self.DeclareVectorInputPort("velocity_command", 3)
             self._acceleration_feedforward = self.DeclareVectorInputPort(
                 "acceleration_feedforward", 3
             )
+            self._DeclareController(
+                {self.all_input_ports_ticket()}, parameters, gains, saturate
+            )
+
+        _construct_copy = ConstructCopy
+
+        def _DeclareController(
+            self,
+            sources: set[Any],
+            parameters: QuadrotorParameters | None,
+            gains: Gains,
+            saturate: bool,
+        ) -> None:
+            """Declares all but the ports of state and commands, and says what it depends on."""
+            _CheckGains(gains)
+            self._parameters = parameters or QuadrotorParameters()
+            self._saturate = saturate
             self._heading = self.DeclareVectorInputPort("heading", 1)
             self.gains_index = self.DeclareNumericParameter(BasicVector_[T](list(gains)))
             self._undisturbed = ToVector(T, [0.0, 0.0, 0.0])
@@ -131,15 +148,13 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
                 self._predicted_velocity = self.DeclareVectorInputPort("predicted_velocity", 3)
             body = [self._parameters.mass, *self._parameters.inertia]
             self.body_index = self.DeclareNumericParameter(BasicVector_[T](body))
-            sources = {self.all_input_ports_ticket(), self.all_parameters_ticket()}
+            sources = sources | {self.all_parameters_ticket()}
             self._propeller_force = self.DeclareVectorOutputPort(
                 "propeller_force", NUM_PROPELLERS, self._CalcPropellerForce, sources
             )
             self._acceleration = self.DeclareVectorOutputPort(
                 "acceleration", 3, self._CalcAcceleration, sources
             )
-
-        _construct_copy = ConstructCopy
 
         @property
         def parameters(self) -> QuadrotorParameters:
@@ -181,6 +196,13 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
                 ToVector(T, body)
             )
 
+        def _ReadGains(self, context: Any) -> np.ndarray:
+            """Returns the gains (5,) with the heading that is asked for."""
+            gains = context.get_numeric_parameter(self.gains_index).CopyToVector()
+            if self._heading.HasValue(context):
+                gains[HEADING] = self._heading.Eval(context)[0]
+            return gains
+
         def _CalcDisturbance(self, context: Any) -> np.ndarray:
             """Returns what disturbs the vehicle, (3,) in m/s^2 in W."""
             if self._predicted_velocity is None:
@@ -190,15 +212,12 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
             return bandwidth * (self._state.Eval(context)[VELOCITY] - predicted)
 
         def _CalcPropellerForce(self, context: Any, output: Any) -> None:
-            gains = context.get_numeric_parameter(self.gains_index).CopyToVector()
-            if self._heading.HasValue(context):
-                gains[HEADING] = self._heading.Eval(context)[0]
             arguments = (
                 self._state.Eval(context),
                 self._velocity_command.Eval(context),
                 self._acceleration_feedforward.Eval(context),
                 self._CalcDisturbance(context),
-                gains,
+                self._ReadGains(context),
                 context.get_numeric_parameter(self.body_index).CopyToVector(),
                 self._parameters.rotors,
                 self._parameters.gravity,
@@ -219,13 +238,10 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
 
         def _CalcAcceleration(self, context: Any, output: Any) -> None:
             forces = self._propeller_force.Eval(context)
-            roll, pitch, yaw = self._state.Eval(context)[ATTITUDE].tolist()
-            R_WB, _ = CalcAttitude((roll, pitch, yaw), (0.0, 0.0, 0.0))
-            thrust = self._parameters.force_constant * forces.sum()
-            lift = thrust / self._parameters.mass
-            x, y, z = R_WB[2]
-            acceleration = np.array([lift * x, lift * y, lift * z - self._parameters.gravity])
-            output.SetFromVector(acceleration + self._CalcDisturbance(context))
+            attitude = tuple(self._state.Eval(context)[ATTITUDE].tolist())
+            lift = self._parameters.force_constant * forces.sum() / self._parameters.mass
+            acceleration = CalcAcceleration(attitude, lift, self._parameters.gravity)
+            output.SetFromVector(np.array(acceleration) + self._CalcDisturbance(context))
 
         def _CheckInputs(self, context: Any) -> None:
             for port in (self._state, self._velocity_command, self._acceleration_feedforward):
@@ -254,6 +270,18 @@ def _CheckBody(body: Body) -> None:
         CheckPositiveParameter(name, value)
 
 
+@compilable
+def AreUsable(gains: np.ndarray, body: np.ndarray) -> bool:
+    """Tells whether the law can do with these; `SetGains` and `SetBody` say what it cannot."""
+    return (
+        np.isfinite(gains).all()
+        and np.isfinite(body).all()
+        and gains[:3].min() > 0.0
+        and gains[4] >= 0.0
+        and body.min() > 0.0
+    )
+
+
 def _MakeCompiled(sources: int) -> Any:
     @kernel
     def calc_input(
@@ -273,10 +301,7 @@ def _MakeCompiled(sources: int) -> Any:
             and np.isfinite(velocity_command).all()
             and np.isfinite(acceleration).all()
             and np.isfinite(disturbance).all()
-            and np.isfinite(gains).all()
-            and np.isfinite(body).all()
-            and gains[:3].min() > 0.0
-            and body.min() > 0.0
+            and AreUsable(gains, body)
         )
         if not usable:
             return np.full(NUM_PROPELLERS, np.nan)

@@ -1,6 +1,6 @@
 """The loop around a vehicle: sensors, guidance, perhaps a supervisor, and controller."""
 
-from typing import Any
+from typing import Any, TypeGuard
 
 from pydrake.examples import QuadrotorPlant
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPort, System
@@ -8,11 +8,12 @@ from pydrake.systems.primitives import Integrator
 
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields.base import Field, SteerableField
-from systems.controller import DEFAULT_GAINS
+from systems.controller import DEFAULT_GAINS, Se3Controller
+from systems.fused_guidance import EVALUATED, PARTS, FusedGuidance
 from systems.guidance import DEFAULT_ALTITUDE, GuidanceSystem
 from systems.quadrotor import ATTITUDE, VELOCITY, QuadrotorParameters
 from systems.se3_law import Gains
-from systems.sensing import DEFAULT_SAMPLE_PERIOD, SensorParameters
+from systems.sensing import DEFAULT_SAMPLE_PERIOD, AddSelection, SensorParameters
 from systems.vehicle import Quadrotor, Vehicle
 
 MOTION = ("position", "velocity")
@@ -88,30 +89,48 @@ class GuidanceLoop(Diagram):
         actuation: str = Quadrotor.actuation,
     ) -> None:
         super().__init__()
-        asked = COMMANDS if supervisor is None else (*COMMANDS, "speed")
-        _CheckPorts(guidance, "guidance", MOTION, asked)
-        _CheckPorts(controller, "the controller", ("state", *COMMANDS), (actuation,))
         self.actuation = actuation
+        is_fused = controller is guidance
+        if not is_fused:
+            asked = COMMANDS if supervisor is None else (*COMMANDS, "speed")
+            _CheckPorts(guidance, "guidance", MOTION, asked)
+            _CheckPorts(controller, "the controller", ("state", *COMMANDS), (actuation,))
         if heading is not None:
             _CheckPorts(heading, "heading", ("position", "velocity_command"), ("heading",))
             _CheckPorts(controller, "a controller that is told a heading", ("heading",), ())
         builder = DiagramBuilder()
         self.guidance: Any = builder.AddNamedSystem("guidance", guidance)
-        self.controller: Any = builder.AddNamedSystem("controller", controller)
+        self.controller: Any = guidance
         self.motion_capture: Any = builder.AddNamedSystem("motion_capture", motion_capture)
         self.supervisor: Any = None
-        _Connect(builder, motion_capture, guidance, *MOTION)
-        _Connect(builder, motion_capture, controller, "state")
+        commander = guidance
+        if is_fused:
+            measured = ("state",) if guidance.HasInputPort("state") else PARTS
+            _Connect(builder, motion_capture, guidance, *measured)
+            evaluation = guidance.GetOutputPort("evaluation")
+            self._outputs = {
+                name: AddSelection(builder, evaluation, name, entries)
+                for name, entries in EVALUATED.items()
+            }
+        else:
+            self.controller = builder.AddNamedSystem("controller", controller)
+            _Connect(builder, motion_capture, guidance, *MOTION)
+            _Connect(builder, motion_capture, controller, "state")
+            if supervisor is not None:
+                commander = self.supervisor = builder.AddNamedSystem("supervisor", supervisor)
+                self._ConnectSupervisor(builder)
+            _Connect(builder, commander, controller, *COMMANDS)
+            self._outputs = {name: commander.GetOutputPort(name) for name in COMMANDS}
+            for name in (actuation, "acceleration"):
+                if controller.HasOutputPort(name):
+                    self._outputs[name] = controller.GetOutputPort(name)
         if motion_capture.HasInputPort("acceleration"):
-            _Connect(builder, controller, motion_capture, "acceleration")
+            builder.Connect(
+                self._outputs["acceleration"], motion_capture.GetInputPort("acceleration")
+            )
         self._predictor: Any = None
         if controller.HasInputPort("predicted_velocity"):
             self._AddPredictor(builder)
-        commander = guidance
-        if supervisor is not None:
-            commander = self.supervisor = builder.AddNamedSystem("supervisor", supervisor)
-            self._ConnectSupervisor(builder)
-        _Connect(builder, commander, controller, *COMMANDS)
         self.heading: Any = None
         if heading is not None:
             self.heading = builder.AddNamedSystem("heading", heading)
@@ -132,9 +151,8 @@ class GuidanceLoop(Diagram):
                     builder.ExportInput(port, name)
         builder.ExportOutput(motion_capture.GetOutputPort("state"), "measured_state")
         builder.ExportOutput(motion_capture.GetOutputPort("position"), "position")
-        for name in COMMANDS:
-            builder.ExportOutput(commander.GetOutputPort(name), name)
-        builder.ExportOutput(controller.GetOutputPort(actuation), actuation)
+        for name in (*COMMANDS, actuation):
+            builder.ExportOutput(self._outputs[name], name)
         for name in REPORTS:
             if supervisor is not None and supervisor.HasOutputPort(name):
                 builder.ExportOutput(supervisor.GetOutputPort(name), name)
@@ -143,7 +161,7 @@ class GuidanceLoop(Diagram):
     def _AddPredictor(self, builder: DiagramBuilder) -> None:
         controller = self.controller
         predictor = self._predictor = builder.AddNamedSystem("predictor", Integrator(3))
-        builder.Connect(controller.GetOutputPort("acceleration"), predictor.get_input_port())
+        builder.Connect(self._outputs["acceleration"], predictor.get_input_port())
         builder.Connect(
             predictor.get_output_port(), controller.GetInputPort("predicted_velocity")
         )
@@ -192,6 +210,7 @@ def AddGuidance(
     supervisor: Any = None,
     heading: Any = None,
     measured_port: OutputPort | None = None,
+    fused: bool = True,
 ) -> GuidanceLoop:
     """Makes a vehicle in a diagram follow a guiding vector field.
 
@@ -221,6 +240,10 @@ def AddGuidance(
             gains say.
         measured_port: The state that is measured; by default that of the plant.  This is
             where a `Dropout` comes in.
+        fused: Whether guidance and controller of a quadrotor become one `FusedGuidance` where
+            nothing stands between them: the guidance is a field, and there is neither a
+            supervisor nor a `heading`.  False keeps two systems, which is slower.  A system
+            outside that works out the input `heading` from `velocity_command` needs it.
 
     Returns:
         The loop.
@@ -237,18 +260,27 @@ def AddGuidance(
             f"{plant.get_name()!r} has {plant.GetOutputPort('state').size()} entries"
         )
     speed = vehicle.own_speed if speed is None else speed
-    guide: Any = guidance
-    if not isinstance(guidance, System):
-        guide = GuidanceSystem(guidance, speed, altitude, feedforward, vehicle.approach_rate)
-        vehicle.CheckGuided(guidance.dim, speed)
     capture = vehicle.MakeMotionCapture(sample_period, sensors)
-    loop = GuidanceLoop(
-        guide, vehicle.MakeController(), capture, supervisor, heading, actuation
-    )
+    guide: Any = guidance
+    controller: Any = vehicle.MakeController()
+    if not isinstance(guidance, System):
+        flown = (guidance, speed, altitude, feedforward, vehicle.approach_rate)
+        if fused and supervisor is None and heading is None and _IsPlain(vehicle, controller):
+            law = (vehicle.parameters, vehicle.gains, vehicle.saturate)
+            guide = controller = FusedGuidance(*flown, *law, sensors is not None)
+        else:
+            guide = GuidanceSystem(*flown)
+        vehicle.CheckGuided(guidance.dim, speed)
+    loop = GuidanceLoop(guide, controller, capture, supervisor, heading, actuation)
     builder.AddNamedSystem(name, loop)
     builder.Connect(measured_port or plant.GetOutputPort("state"), loop.GetInputPort("state"))
     _Connect(builder, loop, plant, actuation)
     return loop
+
+
+def _IsPlain(vehicle: Vehicle, controller: System) -> TypeGuard[Quadrotor]:
+    """Tells whether a vehicle is flown by the `Se3Controller`, and by no other."""
+    return isinstance(vehicle, Quadrotor) and type(controller) is type(Se3Controller())
 
 
 def _VehicleOf(

@@ -19,6 +19,7 @@ from pydrake.systems.primitives import (
     Demultiplexer,
     DiscreteTimeDelay,
     Gain,
+    MatrixGain,
     PassThrough,
     RandomSource,
     ZeroOrderHold,
@@ -27,7 +28,7 @@ from pydrake.systems.scalar_conversion import TemplateSystem
 
 from sgvf_drake.exceptions import ConfigurationError
 from systems.quadrotor import ATTITUDE, POSITION, RATES, STATE_SIZE, VELOCITY
-from systems.scalars import SCALARS, ConstructCopy, ToFloat, remembered
+from systems.scalars import SCALARS, ConstructCopy, ToFloat, idle, remembered
 from systems.state_estimator import DEFAULT_BANDWIDTH, StateEstimator
 
 DEFAULT_SAMPLE_PERIOD = 0.01
@@ -96,6 +97,8 @@ class MotionCapture(Diagram):
         output_ports:
         - position
         - velocity
+        - attitude
+        - rates
         - state
         - measurement_age
 
@@ -104,9 +107,10 @@ class MotionCapture(Diagram):
     an accelerometer tells it: `Se3Controller` has it; see `StateEstimator`.
 
     `position` (3) in m and `velocity` (3) in m/s are what the estimator makes of the positions
-    of the motion capture, for guidance.  The output `state` (12) has them too, with attitude
-    and rates that are sampled at the on-board rate, for the controller.  `measurement_age` (1)
-    is the age of what was last measured in s.  None is a direct feed-through.
+    of the motion capture, for guidance.  `attitude` (3) in rad and `rates` (3) in rad/s are
+    sampled at the on-board rate, and the output `state` (12) is all four, for the controller.
+    `measurement_age` (1) is the age of what was last measured in s.  None is a direct
+    feed-through.
 
     The noise is Drake's `RandomSource`; see `SetNoiseSeed`.
 
@@ -139,6 +143,8 @@ class MotionCapture(Diagram):
             builder.Connect(port, whole.get_input_port(index))
         for port in estimate:
             builder.ExportOutput(port, port.get_name())
+        for port, name in zip(held, ("attitude", "rates"), strict=True):
+            builder.ExportOutput(port, name)
         builder.ExportOutput(whole.get_output_port(), "state")
         builder.ExportOutput(
             self._estimator.GetOutputPort("measurement_age"), "measurement_age"
@@ -224,25 +230,14 @@ class IdealMotionCapture(Diagram):
     ) -> None:
         super().__init__()
         builder = DiagramBuilder()
-        sizes = [3, velocity.start - 3, 3, size - velocity.stop]
-        parts = builder.AddNamedSystem("state_parts", Demultiplexer([n for n in sizes if n]))
-        builder.ExportInput(parts.get_input_port(), "state")
-        self._holds: list[tuple[Any, slice]] = []
-        for name, entries, part in (
-            ("state", slice(size), None),
-            ("position", POSITION, parts.get_output_port(0)),
-            ("velocity", velocity, parts.get_output_port(2)),
-        ):
-            width = size if part is None else part.size()
-            hold: Any = ZeroOrderHold(period, width) if period > 0.0 else PassThrough(width)
-            builder.AddNamedSystem(name, hold)
-            if part is None:
-                builder.ConnectInput("state", hold.get_input_port())
-            else:
-                builder.Connect(part, hold.get_input_port())
-            builder.ExportOutput(hold.get_output_port(), name)
-            if period > 0.0:
-                self._holds.append((hold, entries))
+        self._is_sampled = period > 0.0
+        hold: Any = ZeroOrderHold(period, size) if self._is_sampled else PassThrough(size)
+        self._hold = builder.AddNamedSystem("state", hold)
+        builder.ExportInput(hold.get_input_port(), "state")
+        builder.ExportOutput(hold.get_output_port(), "state")
+        for name, entries in (("position", POSITION), ("velocity", velocity)):
+            part = AddSelection(builder, hold.get_output_port(), name, entries)
+            builder.ExportOutput(part, name)
         builder.BuildInto(self)
 
     def SetVectorState(self, context: Context, state: Any) -> None:
@@ -252,8 +247,23 @@ class IdealMotionCapture(Diagram):
             context: This system's own.
             state: The state, of the size of this system's.
         """
-        for hold, entries in self._holds:
-            hold.SetVectorState(self.GetMutableSubsystemContext(hold, context), state[entries])
+        if self._is_sampled:
+            own = self.GetMutableSubsystemContext(self._hold, context)
+            self._hold.SetVectorState(own, state)
+
+
+def AddSelection(
+    builder: DiagramBuilder, port: OutputPort, name: str, entries: slice
+) -> OutputPort:
+    """Adds a system of this name that takes entries of a vector, and returns its output.
+
+    Drake's Demultiplexer would do, but its outputs count as dependent on the time: behind it,
+    everything is evaluated anew in every stage of the integrator.
+    """
+    rows: Any = np.eye(port.size())[entries]
+    selection = builder.AddNamedSystem(name, MatrixGain(rows))
+    builder.Connect(port, selection.get_input_port())
+    return selection.get_output_port()
 
 
 def DrawNoise(diagram: Diagram, context: Context, generator: RandomGenerator) -> None:
@@ -273,6 +283,7 @@ def DrawNoise(diagram: Diagram, context: Context, generator: RandomGenerator) ->
 
 @TemplateSystem.define("Dropout_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
 def Dropout_(T: type) -> Any:  # noqa: D103 (the class below says it)
+    @idle
     class Impl(LeafSystem_[T]):
         """Loses some entries of a vector for some time: they are NaN then.
 
@@ -332,6 +343,7 @@ Dropout = Dropout_[None]
 
 @TemplateSystem.define("Concatenation_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
 def Concatenation_(T: type) -> Any:  # noqa: D103 (the class below says it)
+    @idle
     class Impl(LeafSystem_[T]):
         """Puts its input vectors one after the other.
 
