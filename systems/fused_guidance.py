@@ -58,10 +58,8 @@ _MEMORY_SIZE = 9
 # Where the constants have what: speed, altitude and approach length; gains; body; the rotors;
 # mass, gravity, and whether there are limits and a feed-forward.
 _GUIDING, _GAINS, _BODY, _ROTORS = slice(0, 3), slice(3, 8), slice(8, 12), slice(12, 16)
-_APPROACH_LENGTH, _MASS, _GRAVITY, _SATURATES, _FEEDS_FORWARD, _NUM_CONSTANTS = (
-    2,
-    *range(16, 21),
-)
+_APPROACH_LENGTH = 2
+_MASS, _GRAVITY, _SATURATES, _FEEDS_FORWARD, _NUM_CONSTANTS = range(16, 21)
 # No speed is negative, so that nothing is taken for what was evaluated before.
 _NOTHING = -1.0
 
@@ -84,12 +82,14 @@ def FusedGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
             - velocity_command
             - acceleration_feedforward
             - speed
+            - position
             - propeller_force
             - acceleration
             - evaluation
 
         It has the ports, the parameters and the methods of both, but for the inputs by which
-        one is connected with the other.  `state` (12) is QuadrotorPlant's.  What a directed
+        one is connected with the other.  `state` (12) is QuadrotorPlant's, and `position` (3)
+        a part of it.  What a directed
         field has in a `GuidanceSystem` it has here: `intended_direction` and the output
         `heading`, which is another thing than the input of this name, the yaw.
 
@@ -114,7 +114,8 @@ def FusedGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
             gains: The gains.
             saturate: Whether there are limits.
             in_parts: Whether the state comes as four inputs (3) of its own in place of one:
-                `position`, `attitude`, `velocity` and `rates`.  Then `state` is an output.
+                `position`, `attitude`, `velocity` and `rates`.  Then `state` is an output, and
+                `position` is none.
 
         Raises:
             ConfigurationError: as in the two.
@@ -138,6 +139,12 @@ def FusedGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
             LeafSystem_[T].__init__(self, converter=converter)
             state = self._DeclareState(in_parts)
             self._DeclareGuidance(state, field, speed, altitude, feedforward, max_approach_rate)
+            if in_parts:
+                self._state = self.DeclareVectorOutputPort(
+                    "state", STATE_SIZE, self._CopyState, state
+                )
+            else:
+                self.DeclareVectorOutputPort("position", 3, self._CopyPosition, state)
             self._velocity_command = self.GetOutputPort("velocity_command")
             self._acceleration_feedforward = self.GetOutputPort("acceleration_feedforward")
             sources = {self.all_input_ports_ticket(), self.xc_ticket()}
@@ -184,13 +191,8 @@ def FusedGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
             self._measured = [
                 self.DeclareVectorInputPort(name, size) for name, size in names.items()
             ]
-            tickets = {self.input_port_ticket(port.get_index()) for port in self._measured}
             self._state: Any = self._measured[0]
-            if in_parts:
-                self._state = self.DeclareVectorOutputPort(
-                    "state", STATE_SIZE, self._CopyState, tickets
-                )
-            return tickets
+            return {self.input_port_ticket(port.get_index()) for port in self._measured}
 
         def _CalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
             rate = self._evaluation.Eval(context)[_NUM_EVALUATED:-_MEMORY_SIZE]
@@ -203,6 +205,9 @@ def FusedGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
 
         def _CopyState(self, context: Any, output: Any) -> None:
             output.SetFromVector(self._EvalState(context))
+
+        def _CopyPosition(self, context: Any, output: Any) -> None:
+            output.SetFromVector(self._EvalState(context)[POSITION])
 
         def _EvalVehicle(self, context: Any) -> tuple[np.ndarray, np.ndarray]:
             state = self._EvalState(context)
@@ -283,15 +288,12 @@ def _FillInForces(
     forces = CalcPropellerInput(
         state, commands[:3], commands[3:], disturbance, gains, body, rotors, gravity, saturates
     )
-    lift = (
-        rotors.force_constant
-        / constants[_MASS]
-        * (forces[0] + forces[1] + forces[2] + forces[3])
-    )
-    rpy = state[ATTITUDE]
-    acceleration = CalcAcceleration((rpy[0], rpy[1], rpy[2]), lift, gravity)
+    lift = 0.0
     for i in range(4):
         evaluation[i] = forces[i]
+        lift += rotors.force_constant * forces[i] / constants[_MASS]
+    rpy = state[ATTITUDE]
+    acceleration = CalcAcceleration((rpy[0], rpy[1], rpy[2]), lift, gravity)
     for i in range(3):
         evaluation[10 + i] = acceleration[i] + disturbance[i]
     # The limits of the forces hide a NaN, and the sums what is not used.

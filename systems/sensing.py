@@ -116,9 +116,10 @@ class MotionCapture(Diagram):
 
     Args:
         parameters: Noise, delay and rates.
+        whole: Whether there is `state`: a system in Python that takes time even if nobody asks.
     """
 
-    def __init__(self, parameters: SensorParameters) -> None:
+    def __init__(self, parameters: SensorParameters, whole: bool = True) -> None:
         super().__init__()
         self._parameters = parameters
         builder = DiagramBuilder()
@@ -138,14 +139,15 @@ class MotionCapture(Diagram):
             builder.Connect(noisy, hold.get_input_port())
             self._holds.append((hold, entries))
             held.append(hold.get_output_port())
-        whole = builder.AddNamedSystem("state", Concatenation([3, 3, 3, 3]))
-        for index, port in enumerate((estimate[0], held[0], estimate[1], held[1])):
-            builder.Connect(port, whole.get_input_port(index))
         for port in estimate:
             builder.ExportOutput(port, port.get_name())
         for port, name in zip(held, ("attitude", "rates"), strict=True):
             builder.ExportOutput(port, name)
-        builder.ExportOutput(whole.get_output_port(), "state")
+        if whole:
+            parts = builder.AddNamedSystem("state", Concatenation([3, 3, 3, 3]))
+            for index, port in enumerate((estimate[0], held[0], estimate[1], held[1])):
+                builder.Connect(port, parts.get_input_port(index))
+            builder.ExportOutput(parts.get_output_port(), "state")
         builder.ExportOutput(
             self._estimator.GetOutputPort("measurement_age"), "measurement_age"
         )
@@ -220,6 +222,7 @@ class IdealMotionCapture(Diagram):
         period: In s, for which a sample is held; 0 passes the state through in continuous time.
         size: That of the state, which begins with the position; by default QuadrotorPlant's.
         velocity: The entries of the velocity in it.
+        in_parts: Whether there are `position` and `velocity` too.
     """
 
     def __init__(
@@ -227,6 +230,7 @@ class IdealMotionCapture(Diagram):
         period: float = DEFAULT_SAMPLE_PERIOD,
         size: int = STATE_SIZE,
         velocity: slice = VELOCITY,
+        in_parts: bool = True,
     ) -> None:
         super().__init__()
         builder = DiagramBuilder()
@@ -235,7 +239,8 @@ class IdealMotionCapture(Diagram):
         self._hold = builder.AddNamedSystem("state", hold)
         builder.ExportInput(hold.get_input_port(), "state")
         builder.ExportOutput(hold.get_output_port(), "state")
-        for name, entries in (("position", POSITION), ("velocity", velocity)):
+        parts = {"position": POSITION, "velocity": velocity} if in_parts else {}
+        for name, entries in parts.items():
             part = AddSelection(builder, hold.get_output_port(), name, entries)
             builder.ExportOutput(part, name)
         builder.BuildInto(self)

@@ -13,6 +13,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram
 
 from sgvf_drake.arrays import FloatArray
+from sgvf_drake.compiling import announced
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
 from sgvf_drake.experiments.scene import FlightScene
 from sgvf_drake.experiments.simulation import advance, read_log
@@ -368,6 +369,7 @@ def simulate(
         _lost_control_named(where, spec.speed, feasibility),
         nullcontext() if scene is None else scene.show(simulator, page or shown),
     ):
+        _compile(loop, context, progress)
         begin = time.perf_counter()
         if is_over is None:
             advance(simulator, spec.duration, LOG_PERIOD, "fly", progress)
@@ -378,6 +380,12 @@ def simulate(
     log["cross_track_error"] = reference.project(positions_of(log, field.dim)).distance
     left = None if watch is None else watch.exit
     return SimulatedFlight(log, wall_s, over, left, feasibility)
+
+
+def _compile(loop: Any, context: Context, progress: Progress) -> None:
+    """Evaluates a loop once, so that the clock of a flight does not run while numba compiles."""
+    with announced(lambda: progress("compile, on the first run only", 0.0, 1.0)):
+        loop.GetOutputPort(loop.actuation).Eval(loop.GetMyContextFromRoot(context))
 
 
 def _heading_system(heading: Literal["path"] | tuple[float, float]) -> Any:
