@@ -161,6 +161,11 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
             """The vehicle that is flown."""
             return self._parameters
 
+        @property
+        def arguments(self) -> dict[str, Any]:
+            """What it was made with, by name."""
+            return dict(self._arguments)
+
         def GetGains(self, context: Any) -> Gains:
             """Returns the gains."""
             return Gains(

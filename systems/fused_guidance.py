@@ -79,10 +79,10 @@ def FusedGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
             - heading
             - predicted_velocity
             output_ports:
+            - position
             - velocity_command
             - acceleration_feedforward
             - speed
-            - position
             - propeller_force
             - acceleration
             - evaluation
@@ -137,14 +137,10 @@ def FusedGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
             converter: Any = None,
         ) -> None:
             LeafSystem_[T].__init__(self, converter=converter)
-            state = self._DeclareState(in_parts)
-            self._DeclareGuidance(state, field, speed, altitude, feedforward, max_approach_rate)
-            if in_parts:
-                self._state = self.DeclareVectorOutputPort(
-                    "state", STATE_SIZE, self._CopyState, state
-                )
-            else:
-                self.DeclareVectorOutputPort("position", 3, self._CopyPosition, state)
+            motion = self._DeclareState(in_parts)
+            self._DeclareGuidance(
+                motion, field, speed, altitude, feedforward, max_approach_rate
+            )
             self._velocity_command = self.GetOutputPort("velocity_command")
             self._acceleration_feedforward = self.GetOutputPort("acceleration_feedforward")
             sources = {self.all_input_ports_ticket(), self.xc_ticket()}
@@ -186,13 +182,20 @@ def FusedGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
             constants.get_mutable_value().SetFromVector(np.array(values, np.float64))
 
         def _DeclareState(self, in_parts: bool) -> set[Any]:
-            """Declares the ports of the state, and returns their tickets."""
+            """Declares the ports of the state; returns the tickets of place and velocity."""
             names = PARTS if in_parts else {"state": STATE_SIZE}
             self._measured = [
                 self.DeclareVectorInputPort(name, size) for name, size in names.items()
             ]
+            tickets = [self.input_port_ticket(port.get_index()) for port in self._measured]
             self._state: Any = self._measured[0]
-            return {self.input_port_ticket(port.get_index()) for port in self._measured}
+            if in_parts:
+                self._state = self.DeclareVectorOutputPort(
+                    "state", STATE_SIZE, self._CopyState, set(tickets)
+                )
+                return {tickets[0], tickets[2]}
+            self.DeclareVectorOutputPort("position", 3, self._CopyPosition, set(tickets))
+            return set(tickets)
 
         def _CalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
             rate = self._evaluation.Eval(context)[_NUM_EVALUATED:-_MEMORY_SIZE]
@@ -210,8 +213,11 @@ def FusedGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
             output.SetFromVector(self._EvalState(context)[POSITION])
 
         def _EvalVehicle(self, context: Any) -> tuple[np.ndarray, np.ndarray]:
-            state = self._EvalState(context)
-            return state[POSITION], state[VELOCITY]
+            if len(self._measured) == 1:
+                state = self._state.Eval(context)
+                return state[POSITION], state[VELOCITY]
+            position, _, velocity, _ = self._measured
+            return position.Eval(context), velocity.Eval(context)
 
         def _CheckVehicle(self, context: Any) -> None:
             for port in self._measured:

@@ -99,6 +99,12 @@ def CheckFlown(field: Field | SteerableField) -> None:
         )
 
 
+def HasCompiledForm(field: Field | SteerableField) -> bool:
+    """Tells whether compiled code can evaluate a field, or the motion of a directed one."""
+    followed = field.with_memory() if isinstance(field, SteerableField) else field
+    return isinstance(followed, CompilableField)
+
+
 def _ApproachLength(field: Field, speed: Scalar, max_approach_rate: float) -> float:
     """Returns the approach length in m at which a vehicle follows a field, 0 if it has none."""
     if not isinstance(field, AdjustableField):

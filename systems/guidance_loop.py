@@ -1,6 +1,6 @@
 """The loop around a vehicle: sensors, guidance, perhaps a supervisor, and controller."""
 
-from typing import Any, TypeGuard
+from typing import Any
 
 from pydrake.examples import QuadrotorPlant
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPort, System
@@ -10,7 +10,7 @@ from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields.base import Field, SteerableField
 from systems.controller import DEFAULT_GAINS, Se3Controller
 from systems.fused_guidance import EVALUATED, PARTS, FusedGuidance
-from systems.guidance import DEFAULT_ALTITUDE, GuidanceSystem
+from systems.guidance import DEFAULT_ALTITUDE, GuidanceSystem, HasCompiledForm
 from systems.quadrotor import ATTITUDE, VELOCITY, QuadrotorParameters
 from systems.se3_law import Gains
 from systems.sensing import DEFAULT_SAMPLE_PERIOD, AddSelection, SensorParameters
@@ -267,9 +267,9 @@ def AddGuidance(
         measured_port: The state that is measured; by default that of the plant.  This is
             where a `Dropout` comes in.
         fused: Whether guidance and controller of a quadrotor become one `FusedGuidance` where
-            nothing stands between them: the guidance is a field, and there is neither a
-            supervisor nor a `heading`.  False keeps two systems, which is slower.  A system
-            outside that works out the input `heading` from `velocity_command` needs it.
+            nothing stands between them: the guidance is a field with a compiled form, and there
+            is neither a supervisor nor a `heading`.  False keeps two systems, which is slower,
+            and what is needed where the input `heading` is made of `velocity_command` outside.
 
     Returns:
         The loop.
@@ -292,10 +292,13 @@ def AddGuidance(
     if not isinstance(guidance, System):
         flown = (guidance, speed, altitude, feedforward, vehicle.approach_rate)
         between = supervisor is not None or heading is not None
-        is_fused = fused and not between and _IsPlain(vehicle, controller)
+        can_be = HasCompiledForm(guidance) and type(controller) is Se3Controller
+        is_fused = fused and can_be and not between
         if is_fused:
-            law = (controller.parameters, vehicle.gains, vehicle.saturate)
-            guide = controller = FusedGuidance(*flown, *law, sensors is not None)
+            in_parts = sensors is not None
+            guide = controller = FusedGuidance(
+                *flown, in_parts=in_parts, **controller.arguments
+            )
         else:
             guide = GuidanceSystem(*flown)
         vehicle.CheckGuided(guidance.dim, speed)
@@ -305,11 +308,6 @@ def AddGuidance(
     builder.Connect(measured_port or plant.GetOutputPort("state"), loop.GetInputPort("state"))
     _Connect(builder, loop, plant, actuation)
     return loop
-
-
-def _IsPlain(vehicle: Vehicle, controller: System) -> TypeGuard[Quadrotor]:
-    """Tells whether a vehicle is flown by the `Se3Controller`, and by no other."""
-    return isinstance(vehicle, Quadrotor) and type(controller) is Se3Controller
 
 
 def _VehicleOf(

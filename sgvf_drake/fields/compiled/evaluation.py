@@ -180,9 +180,7 @@ def motion_jet(
 
 
 @part
-def _flattened_motion(
-    m: FloatArray, v: FloatArray, y: FloatArray, length: float
-) -> FloatArray:
+def _flattened_motion(m: FloatArray, v: FloatArray, y: FloatArray, length: float) -> FloatArray:
     """F = (m, (v - h) / length) and then its Jacobian by rows."""
     d = m.shape[1]
     flat = np.empty(2 * d + 4 * d * d)
