@@ -67,7 +67,7 @@ _NOTHING = -1.0
 @TemplateSystem.define("FusedGuidance_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
 def FusedGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
     @idle
-    class Impl(GuidanceSystem_[T], Se3Controller_[T]):
+    class Impl(GuidanceSystem_[T], Se3Controller_[T]):  # type: ignore[misc, valid-type]
         """Is a `GuidanceSystem` and the `Se3Controller` it commands, evaluated in one call.
 
         .. pydrake_system::

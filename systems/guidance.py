@@ -550,6 +550,8 @@ def _Fly(field: Field, T: type, approach_length: float) -> _FlownField:
     followed = field.with_memory() if isinstance(field, SteerableField) else field
     if T is float and isinstance(followed, CompilableField):
         compiled = followed.compiled()
-        known = isinstance(compiled, CompiledField | CompiledMotion)
-        return _FlownField(field, compiled.evaluate, compiled.arguments if known else None)
+        arguments = None
+        if isinstance(compiled, CompiledField | CompiledMotion):
+            arguments = compiled.arguments
+        return _FlownField(field, compiled.evaluate, arguments)
     return _FlownField(field, partial(EvalField, followed))

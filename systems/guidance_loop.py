@@ -69,8 +69,9 @@ class GuidanceLoop(Diagram):
     Args:
         guidance: A system with input ports `position` (3) and `velocity` (3), and output
             ports `velocity_command` (3) and `acceleration_feedforward` (3), in W and SI units.
-        controller: The same `FusedGuidance`, or a system with these two as inputs, an input `state` (12) and an output
-            `propeller_force` (4), or for another vehicle its own state and actuation.
+        controller: A system with these two as inputs, an input `state` (12) and an output
+            `propeller_force` (4), or for another vehicle its own state and actuation; or the
+            very `FusedGuidance` that is the guidance.
         motion_capture: An `IdealMotionCapture` or a `MotionCapture`.
         supervisor: A `BranchSupervisor`, or None.
         heading: A `HeadingSystem`, for a controller with an input `heading` (1), or None.

@@ -83,7 +83,7 @@ def ConstructCopy(self: Any, other: Any, converter: Any = None) -> None:
     type(self)._construct(self, **other._arguments, converter=converter)
 
 
-def idle(system_class: type) -> type:
+def idle(system_class: Any) -> Any:
     """Marks a class of Python systems that have no continuous state.
 
     Drake asks every system for its time derivatives in each stage of the integrator.  Where
@@ -102,11 +102,12 @@ def _DoNothing(self: Any, context: Any, derivatives: Any) -> None:
 
 def MakeMoving(system: Any) -> None:
     """Gives one system of an `idle` class the time derivatives of `_CalcTimeDerivatives`."""
-    system.__class__ = _MovingKind(type(system))
+    kind: Any = type(system)
+    system.__class__ = _MovingKind(kind)
 
 
 @functools.cache
-def _MovingKind(kind: Any) -> type:
+def _MovingKind(kind: Any) -> Any:
     return type(kind.__name__, (kind,), {"DoCalcTimeDerivatives": kind._CalcTimeDerivatives})
 
 

@@ -236,7 +236,7 @@ class IdealMotionCapture(Diagram):
         builder = DiagramBuilder()
         self._is_sampled = period > 0.0
         hold: Any = ZeroOrderHold(period, size) if self._is_sampled else PassThrough(size)
-        self._hold = builder.AddNamedSystem("state", hold)
+        self._hold: Any = builder.AddNamedSystem("state", hold)
         builder.ExportInput(hold.get_input_port(), "state")
         builder.ExportOutput(hold.get_output_port(), "state")
         parts = {"position": POSITION, "velocity": velocity} if in_parts else {}

@@ -383,7 +383,7 @@ def simulate(
 
 
 def _compile(loop: Any, context: Context, progress: Progress) -> None:
-    """Evaluates a loop once, so that the clock of a flight does not run while numba compiles."""
+    """Evaluates a loop once, so that numba compiles before the clock of a flight runs."""
     with announced(lambda: progress("compile, on the first run only", 0.0, 1.0)):
         loop.GetOutputPort(loop.actuation).Eval(loop.GetMyContextFromRoot(context))
 

@@ -102,7 +102,7 @@ def outputs(system, context):
     return {name: evaluation[part] for name, part in EVALUATED.items()}, ports
 
 
-def test_the_evaluation_is_what_the_ports_have(flown, monkeypatch):
+def test_the_evaluation_is_what_the_ports_have(flown):
     system = FusedGuidance(flown, SPEED, gains=OBSERVING)
     rng = np.random.default_rng(1)
     for _ in range(5):

@@ -117,10 +117,7 @@ def field_jet(
 ) -> FloatArray:
     """Returns the jet of m, (1 + k, d), in the unit of the waypoints.
 
-    Args:
-        x: The point, (d,).
-        directions: (k, d).
-        center: And what follows is as `packing` gives it.
+    It is that at x (d,), along directions (k, d); the other arguments are those of `packing`.
     """
     z = np.empty(len(center))
     for i in range(len(z)):
@@ -156,10 +153,8 @@ def motion_jet(
 ) -> tuple[FloatArray, FloatArray]:
     """Returns the jets of m(x, h) and of the tangent of the strand, (1 + k, d) each.
 
-    Args:
-        y: Place and heading, (2d,).
-        directions: (k, 2d).
-        center: And what follows is as `packing` gives it.
+    They are those at y = (x, h) (2d,), along directions (k, 2d); the other arguments are those
+    of `packing`.
     """
     d = len(center)
     z, along = y.copy(), directions.copy()

@@ -89,6 +89,27 @@ def test_every_combination(make_field, recipe, activation, composition, dim, end
     assert_same(field, queries(field, n=3, seed=seed), tolerance=1e-9)
 
 
+@pytest.mark.parametrize("recipe", RECIPES)
+@EACH_COMPOSITION
+def test_derivatives_along_directions_are_products_with_the_jacobian(
+    make_field, recipe, composition
+):
+    rng = np.random.default_rng(6)
+    for dim, ends in product((2, 3), (0, 2)):
+        field = replace(make_field(recipe, dim=dim, ends=ends), composition=composition)
+        compiled = field.compiled()
+        for x in queries(field, n=3):
+            flat = compiled.evaluate(x)
+            J = flat[dim:].reshape(dim, dim)
+            for count in (0, 1, 4):
+                directions = rng.standard_normal((count, dim))
+                along = compiled.evaluate(x, directions)
+                np.testing.assert_array_equal(along[:dim], flat[:dim])
+                products = along[dim:].reshape(dim, count)
+                atol = 1e-12 * max(1.0, np.abs(J).max())
+                np.testing.assert_allclose(products, J @ directions.T, rtol=0, atol=atol)
+
+
 def test_layers_of_every_width(make_field, make_perceptron):
     """Among them those that are no multiple of what is added at a time, and none at all."""
     rng = np.random.default_rng(2)
