@@ -189,6 +189,7 @@ def FusedGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
             ]
             tickets = [self.input_port_ticket(port.get_index()) for port in self._measured]
             self._state: Any = self._measured[0]
+            self._EvalState = self._EvalParts if in_parts else self._state.Eval
             if in_parts:
                 self._state = self.DeclareVectorOutputPort(
                     "state", STATE_SIZE, self._CopyState, set(tickets)
@@ -201,9 +202,7 @@ def FusedGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
             rate = self._evaluation.Eval(context)[_NUM_EVALUATED:-_MEMORY_SIZE]
             derivatives.get_mutable_vector().SetFromVector(rate)
 
-        def _EvalState(self, context: Any) -> np.ndarray:
-            if len(self._measured) == 1:
-                return self._state.Eval(context)
+        def _EvalParts(self, context: Any) -> np.ndarray:
             return np.concatenate([port.Eval(context) for port in self._measured])
 
         def _CopyState(self, context: Any, output: Any) -> None:
@@ -236,19 +235,15 @@ def FusedGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
             predicted = self._undisturbed
             if self._predicted_velocity is not None:
                 predicted = self._predicted_velocity.Eval(context)
-            arguments = (
-                output.get_mutable_value(),
-                self._EvalState(context),
-                predicted,
-                constants,
-            )
+            evaluation, state = output.get_mutable_value(), self._EvalState(context)
             if self._intended is None:
-                return _CalcFused(*arguments, *field)
+                return _CalcFused(evaluation, state, predicted, constants, *field)
             intended = np.zeros(self._field.dim)
             if self._intended.HasValue(context):
                 intended = self._intended.Eval(context)
             heading = self.GetHeading(context)
-            return _CalcFusedTurning(*arguments, heading, intended, self._memory_length, *field)
+            turning = (heading, intended, self._memory_length)
+            return _CalcFusedTurning(evaluation, state, predicted, constants, *turning, *field)
 
         def _CalcInTwo(self, context: Any) -> np.ndarray:
             """Returns the evaluation by the ports of both, which say what is wrong if it is."""

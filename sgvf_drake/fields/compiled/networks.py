@@ -19,6 +19,8 @@ _SILU, _TANH, _SIGMOID, _SOFTPLUS, _GELU, _ELU, _RELU = range(len(ACTIVATIONS))
 # Rows of W^T, those of eight inputs, that are added in one pass over the sums: these are then
 # seldom loaded and stored, and the processor does little but multiply and add.
 INPUTS_AT_ONCE = 8
+# Of a waypoint's share beside the nearest one's: 2e-22, where rounding is 1e-16.
+LEAST_EXPONENT = -50.0
 
 
 @part
@@ -234,7 +236,9 @@ def _weights_and_mean(
         weights[n] *= -0.5 / variance
         top = max(top, weights[n])
     for n in range(size):
-        weights[n] = math.exp(weights[n] - top)
+        exponent = weights[n] - top
+        # Far ones add less than rounding, and are most of them; a NaN stays one.
+        weights[n] = 0.0 if exponent < LEAST_EXPONENT else math.exp(exponent)
         total += weights[n]
     for n in range(size):
         weights[n] /= total
