@@ -49,85 +49,23 @@ DISTURBANCE_BANDWIDTH = 6.0
 On a circle of 1 m, with a delay of 30 ms and wind of 3 m/s, it leaves 3 mm of 190 mm."""
 
 
-@TemplateSystem.define("Se3Controller_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
-def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
-    @idle
-    class Impl(LeafSystem_[T]):
-        """Flies a quadrotor at a commanded velocity by geometric control on SE(3).
+# For a type checker, that with which the methods below are mixed.
+_AnySystem: Any = object
 
-        .. pydrake_system::
 
-            name: Se3Controller
-            input_ports:
-            - state
-            - velocity_command
-            - acceleration_feedforward
-            - heading
-            - predicted_velocity
-            output_ports:
-            - propeller_force
-            - acceleration
+def Se3Methods(T: type) -> Any:
+    """Returns what an `Se3Controller` does, but for its ports of state and commands.
 
-        `state` (12) is QuadrotorPlant's, in metres, radians and seconds; z is up.
+    It is a class outside of Drake, since a system may have only one base that is a system.
 
-        `velocity_command` (3) in m/s and `acceleration_feedforward` (3) in m/s^2 are in W.
+    Args:
+        T: The scalar type.
+    """
 
-        `heading` (1), the desired yaw in rad, takes the place of that of the gains; it may stay
-        unconnected.  A vehicle turns to it from any yaw (see `systems.se3_law.LimitHeading`).
-
-        `propeller_force` (4) is QuadrotorPlant's input: forces in N over the plant's
-        force constant kF, which is 1 by default.  Each force is in
-        [0, `QuadrotorParameters.max_propeller_force`] if saturated.
-
-        `acceleration` (3) in m/s^2 in W is what these forces give the vehicle at this
-        attitude, whatever mass is believed: what an accelerometer would show, for a
-        `StateEstimator`.
-
-        With a disturbance bandwidth L the controller makes up for what else accelerates the
-        vehicle: wind, or a mass other than is believed.  It then has the input
-        `predicted_velocity` z (3) in m/s, which an Integrator makes of `acceleration`:
-        z' = a + d with the acceleration a above and the estimate d = L (v - z), so that d
-        follows the truth as a low-pass filter of L does (a momentum observer: A. De Luca et
-        al., IROS 2006).  The law demands d less, and `acceleration` includes it.  It is
-        integral action that does not wind up where the forces are limited.
-
-        The law is that of Lee, Leok and McClamroch 2010 (see `systems.se3_law`), with a
-        velocity command in place of a trajectory and the heading taken to be fixed.  The
-        numeric parameters are the `Gains` (index `gains_index`, see `SetGains`) and the `Body`,
-        the mass and inertia that the controller believes (index `body_index`, see `SetBody`).
-        Both outputs are direct feed-through.
-
-        Args:
-            parameters: The vehicle that is flown; by default the paper's.
-            gains: The gains; by default `DEFAULT_GAINS`.
-            saturate: Whether demands and forces are limited to what the vehicle can give.
-                False makes the law smooth, for derivatives and trajectory optimisation.
-
-        Raises:
-            ConfigurationError: if a gain, the mass or the inertia cannot be used; on
-                evaluation too, where they were set in the Context itself.
-            NonFiniteValueError: on evaluation, where an input or a force is not finite.
-        """
-
-        @remembered
-        def _construct(
-            self,
-            parameters: QuadrotorParameters | None = None,
-            gains: Gains = DEFAULT_GAINS,
-            saturate: bool = True,
-            converter: Any = None,
-        ) -> None:
-            LeafSystem_[T].__init__(self, converter=converter)
-            self._state = self.DeclareVectorInputPort("state", STATE_SIZE)
-            self._velocity_command = self.DeclareVectorInputPort("velocity_command", 3)
-            self._acceleration_feedforward = self.DeclareVectorInputPort(
-                "acceleration_feedforward", 3
-            )
-            self._DeclareController(
-                {self.all_input_ports_ticket()}, parameters, gains, saturate
-            )
-
-        _construct_copy = ConstructCopy
+    class Methods(_AnySystem):
+        _state: Any
+        _velocity_command: Any
+        _acceleration_feedforward: Any
 
         def _DeclareController(
             self,
@@ -256,6 +194,89 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
                 CheckFinite(self, context, self._heading, ToList(heading))
             _CheckGains(self.GetGains(context))
             _CheckBody(self.GetBody(context))
+
+    return Methods
+
+
+@TemplateSystem.define("Se3Controller_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
+def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
+    @idle
+    class Impl(Se3Methods(T), LeafSystem_[T]):  # type: ignore[misc]
+        """Flies a quadrotor at a commanded velocity by geometric control on SE(3).
+
+        .. pydrake_system::
+
+            name: Se3Controller
+            input_ports:
+            - state
+            - velocity_command
+            - acceleration_feedforward
+            - heading
+            - predicted_velocity
+            output_ports:
+            - propeller_force
+            - acceleration
+
+        `state` (12) is QuadrotorPlant's, in metres, radians and seconds; z is up.
+
+        `velocity_command` (3) in m/s and `acceleration_feedforward` (3) in m/s^2 are in W.
+
+        `heading` (1), the desired yaw in rad, takes the place of that of the gains; it may stay
+        unconnected.  A vehicle turns to it from any yaw (see `systems.se3_law.LimitHeading`).
+
+        `propeller_force` (4) is QuadrotorPlant's input: forces in N over the plant's
+        force constant kF, which is 1 by default.  Each force is in
+        [0, `QuadrotorParameters.max_propeller_force`] if saturated.
+
+        `acceleration` (3) in m/s^2 in W is what these forces give the vehicle at this
+        attitude, whatever mass is believed: what an accelerometer would show, for a
+        `StateEstimator`.
+
+        With a disturbance bandwidth L the controller makes up for what else accelerates the
+        vehicle: wind, or a mass other than is believed.  It then has the input
+        `predicted_velocity` z (3) in m/s, which an Integrator makes of `acceleration`:
+        z' = a + d with the acceleration a above and the estimate d = L (v - z), so that d
+        follows the truth as a low-pass filter of L does (a momentum observer: A. De Luca et
+        al., IROS 2006).  The law demands d less, and `acceleration` includes it.  It is
+        integral action that does not wind up where the forces are limited.
+
+        The law is that of Lee, Leok and McClamroch 2010 (see `systems.se3_law`), with a
+        velocity command in place of a trajectory and the heading taken to be fixed.  The
+        numeric parameters are the `Gains` (index `gains_index`, see `SetGains`) and the `Body`,
+        the mass and inertia that the controller believes (index `body_index`, see `SetBody`).
+        Both outputs are direct feed-through.
+
+        Args:
+            parameters: The vehicle that is flown; by default the paper's.
+            gains: The gains; by default `DEFAULT_GAINS`.
+            saturate: Whether demands and forces are limited to what the vehicle can give.
+                False makes the law smooth, for derivatives and trajectory optimisation.
+
+        Raises:
+            ConfigurationError: if a gain, the mass or the inertia cannot be used; on
+                evaluation too, where they were set in the Context itself.
+            NonFiniteValueError: on evaluation, where an input or a force is not finite.
+        """
+
+        @remembered
+        def _construct(
+            self,
+            parameters: QuadrotorParameters | None = None,
+            gains: Gains = DEFAULT_GAINS,
+            saturate: bool = True,
+            converter: Any = None,
+        ) -> None:
+            LeafSystem_[T].__init__(self, converter=converter)
+            self._state = self.DeclareVectorInputPort("state", STATE_SIZE)
+            self._velocity_command = self.DeclareVectorInputPort("velocity_command", 3)
+            self._acceleration_feedforward = self.DeclareVectorInputPort(
+                "acceleration_feedforward", 3
+            )
+            self._DeclareController(
+                {self.all_input_ports_ticket()}, parameters, gains, saturate
+            )
+
+        _construct_copy = ConstructCopy
 
     return Impl
 

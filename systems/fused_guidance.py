@@ -13,7 +13,7 @@ from sgvf_drake.fields.base import Field
 from sgvf_drake.fields.compiled import evaluation as fields
 from sgvf_drake.fields.compiled.evaluation import field_jet, motion_jet
 from systems import controller, guidance, quadrotor, scalars, se3_law
-from systems.controller import DEFAULT_GAINS, AreUsable, Se3Controller_
+from systems.controller import DEFAULT_GAINS, AreUsable, Se3Methods
 from systems.guidance import (
     DEFAULT_ALTITUDE,
     DEFAULT_SPEED,
@@ -67,8 +67,8 @@ _NOTHING = -1.0
 @TemplateSystem.define("FusedGuidance_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
 def FusedGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
     @idle
-    class Impl(GuidanceSystem_[T], Se3Controller_[T]):  # type: ignore[misc, valid-type]
-        """Is a `GuidanceSystem` and the `Se3Controller` it commands, evaluated in one call.
+    class Impl(GuidanceSystem_[T], Se3Methods(T)):  # type: ignore[misc, valid-type]
+        """Is a `GuidanceSystem` and the controller that it commands, evaluated in one call.
 
         .. pydrake_system::
 
@@ -87,11 +87,12 @@ def FusedGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
             - acceleration
             - evaluation
 
-        It has the ports, the parameters and the methods of both, but for the inputs by which
-        one is connected with the other.  `state` (12) is QuadrotorPlant's, and `position` (3)
-        a part of it.  What a directed
-        field has in a `GuidanceSystem` it has here: `intended_direction` and the output
-        `heading`, which is another thing than the input of this name, the yaw.
+        It has the ports, the parameters and the methods of both, of `GuidanceSystem` and of
+        `Se3Controller`, but for the inputs by which one is connected with the other.  `state`
+        (12) is QuadrotorPlant's, and `position` (3) a part of it.  With a directed field it has
+        the input `intended_direction` and the output `heading` of a `GuidanceSystem`; the input
+        `heading` is another thing, the yaw.  There is `predicted_velocity` only where the gains
+        have a disturbance bandwidth.
 
         `evaluation` holds propeller forces, velocity command, feed-forward and acceleration
         (see `EVALUATED`), and behind them what is only for this system.  Where the field has a
