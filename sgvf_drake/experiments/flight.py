@@ -66,6 +66,8 @@ END_SECTION = 1.0
 SLOWED = 0.5
 # A flight that may be over before its time is looked at this often, s.
 LOOK_PERIOD = 0.1
+# What a flight tells of numba, whose code then lies in its cache on disk.
+COMPILING = "compile, on the first run only"
 # Points of each piece of the reference at which the demand of the path is read.
 DEMAND_SAMPLES = 2_000
 
@@ -384,8 +386,16 @@ def simulate(
 
 def _compile(loop: Any, context: Context, progress: Progress) -> None:
     """Evaluates a loop once, so that numba compiles before the clock of a flight runs."""
-    with announced(lambda: progress("compile, on the first run only", 0.0, 1.0)):
+    told = []
+
+    def tell() -> None:
+        told.append(COMPILING)
+        progress(COMPILING, 0.0, 1.0)
+
+    with announced(tell):
         loop.GetOutputPort(loop.actuation).Eval(loop.GetMyContextFromRoot(context))
+    if told:
+        progress(COMPILING, 1.0, 1.0)
 
 
 def _heading_system(heading: Literal["path"] | tuple[float, float]) -> Any:
