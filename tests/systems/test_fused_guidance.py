@@ -1,11 +1,13 @@
 """Guidance and controller in one are the two one after the other, for every kind of field."""
 
+import inspect
 import math
 
 import numpy as np
 from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 import pytest
 
+from sgvf_drake.compiling import digest
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
 from systems import (
     DEFAULT_GAINS,
@@ -248,3 +250,25 @@ def test_gradients_are_those_of_the_two_systems(flown):
         gradients.append(ExtractGradient(rates.reshape(-1, 1)))
     assert np.abs(gradients[0]).max() > 1.0
     np.testing.assert_allclose(*gradients, rtol=1e-12, atol=1e-12)
+
+
+def functions_in(function, found):
+    """The modules of all functions of this project that a function calls, in the end."""
+    for name in function.__code__.co_names:
+        callee = function.__globals__.get(name)
+        callee = getattr(callee, "py_func", callee)
+        if inspect.isfunction(callee) and callee not in found:
+            found.add(callee)
+            functions_in(callee, found)
+    return {callee.__module__ for callee in found}
+
+
+@pytest.mark.parametrize("name", ["_CalcFused", "_CalcFusedTurning"])
+def test_everything_compiled_is_in_the_key_of_the_cache(name):
+    compiled = getattr(fused_guidance, name).py_func
+    modules = functions_in(compiled, set())
+    assert {"systems.se3_law", "sgvf_drake.fields.compiled.networks"} <= modules
+    sources = {module.__name__ for module in fused_guidance._SOURCES}
+    assert modules <= sources | {fused_guidance.__name__}
+    (enclosed,) = compiled.__closure__
+    assert enclosed.cell_contents == digest(*fused_guidance._SOURCES)
