@@ -1,12 +1,14 @@
 """How numba is asked to compile: the parts of a kernel, and the kernel that is cached."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 import hashlib
 import inspect
 from types import ModuleType
 from typing import Any
 
 from numba import njit
+from numba.core import event
 
 part = njit(error_model="numpy")
 """Marks a function that kernels call.  It divides by zero as NumPy does, and is not cached."""
@@ -38,3 +40,21 @@ def digest(*modules: ModuleType) -> int:
     """
     sources = "".join(inspect.getsource(module) for module in modules)
     return int.from_bytes(hashlib.sha256(sources.encode()).digest()[:6])
+
+
+@contextmanager
+def announced(tell: Callable[[], None]) -> Iterator[None]:
+    """Calls `tell` where something is compiled inside, before it is: on the first run only.
+
+    What numba has in its cache on disk is not compiled again.
+    """
+
+    class Listener(event.Listener):
+        def on_start(self, event: Any) -> None:
+            tell()
+
+        def on_end(self, event: Any) -> None:
+            pass
+
+    with event.install_listener("numba:compile", Listener()):
+        yield

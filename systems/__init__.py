@@ -20,6 +20,7 @@ from systems.diagrams import (
     SetVehicleState,
 )
 from systems.disturbances import Disturbance, DisturbedQuadrotor
+from systems.fused_guidance import FusedGuidance, FusedGuidance_
 from systems.guidance import FieldForSpeed, GuidanceSystem, GuidanceSystem_
 from systems.guidance_loop import AddGuidance, GuidanceLoop
 from systems.heading import HeadingSystem, HeadingSystem_
@@ -123,6 +124,8 @@ __all__ = [
     "FlightVisualization",
     "FloatingBodyState",
     "FloatingBodyState_",
+    "FusedGuidance",
+    "FusedGuidance_",
     "Gains",
     "GuidanceLoop",
     "GuidanceSystem",

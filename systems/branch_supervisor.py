@@ -28,6 +28,7 @@ from systems.scalars import (
     ToFloat,
     ToList,
     ToVector,
+    idle,
     remembered,
 )
 from systems.sensing import DEFAULT_SAMPLE_PERIOD
@@ -59,6 +60,7 @@ errors, for the altitude and for torques."""
 
 @TemplateSystem.define("BranchSupervisor_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
 def BranchSupervisor_(T: type) -> Any:  # noqa: D103 (the class below says it)
+    @idle
     class Impl(LeafSystem_[T]):
         """Flies from branch to branch of a path, and stops, slows down or lands in need.
 

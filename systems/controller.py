@@ -28,9 +28,11 @@ from systems.scalars import (
     ToFloat,
     ToList,
     ToVector,
+    compilable,
+    idle,
     remembered,
 )
-from systems.se3_law import Body, CalcAttitude, CalcPropellerInput, Gains
+from systems.se3_law import Body, CalcAcceleration, CalcPropellerInput, Gains
 
 DEFAULT_GAINS = Gains(
     velocity_gain=3.0, attitude_bandwidth=12.0, damping_ratio=0.7, heading=0.0
@@ -47,9 +49,159 @@ DISTURBANCE_BANDWIDTH = 6.0
 On a circle of 1 m, with a delay of 30 ms and wind of 3 m/s, it leaves 3 mm of 190 mm."""
 
 
+# For a type checker, that with which the methods below are mixed.
+_AnySystem: Any = object
+
+
+def Se3Methods(T: type) -> Any:
+    """Returns what an `Se3Controller` does, but for its ports of state and commands.
+
+    It is a class outside of Drake, since a system may have only one base that is a system.
+
+    Args:
+        T: The scalar type.
+    """
+
+    class Methods(_AnySystem):
+        _state: Any
+        _velocity_command: Any
+        _acceleration_feedforward: Any
+
+        def _DeclareController(
+            self,
+            sources: set[Any],
+            parameters: QuadrotorParameters | None,
+            gains: Gains,
+            saturate: bool,
+        ) -> None:
+            """Declares all but the ports of state and commands, and says what it depends on."""
+            _CheckGains(gains)
+            self._parameters = parameters or QuadrotorParameters()
+            self._saturate = saturate
+            self._heading = self.DeclareVectorInputPort("heading", 1)
+            self.gains_index = self.DeclareNumericParameter(BasicVector_[T](list(gains)))
+            self._undisturbed = ToVector(T, [0.0, 0.0, 0.0])
+            self._predicted_velocity: Any = None
+            if ToFloat(gains.disturbance_bandwidth) > 0.0:
+                self._predicted_velocity = self.DeclareVectorInputPort("predicted_velocity", 3)
+            body = [self._parameters.mass, *self._parameters.inertia]
+            self.body_index = self.DeclareNumericParameter(BasicVector_[T](body))
+            sources = sources | {self.all_parameters_ticket()}
+            self._propeller_force = self.DeclareVectorOutputPort(
+                "propeller_force", NUM_PROPELLERS, self._CalcPropellerForce, sources
+            )
+            self._acceleration = self.DeclareVectorOutputPort(
+                "acceleration", 3, self._CalcAcceleration, sources
+            )
+
+        @property
+        def parameters(self) -> QuadrotorParameters:
+            """The vehicle that is flown."""
+            return self._parameters
+
+        @property
+        def arguments(self) -> dict[str, Any]:
+            """What it was made with, by name."""
+            return dict(self._arguments)
+
+        def GetGains(self, context: Any) -> Gains:
+            """Returns the gains."""
+            return Gains(
+                *context.get_numeric_parameter(self.gains_index).CopyToVector().tolist()
+            )
+
+        def SetGains(self, context: Any, gains: Gains) -> None:
+            """Sets the gains; this system's own Context is wanted.
+
+            To change one: ``SetGains(context, GetGains(context)._replace(heading=0.5))``.
+            """
+            _CheckGains(gains)
+            if gains.disturbance_bandwidth > 0.0 and self._predicted_velocity is None:
+                raise ConfigurationError(
+                    "this controller was made without a disturbance_bandwidth, to estimate none"
+                )
+            context.get_mutable_numeric_parameter(self.gains_index).SetFromVector(
+                ToVector(T, gains)
+            )
+
+        def GetBody(self, context: Any) -> Body:
+            """Returns the mass in kg and the inertia in kg m^2 that are believed."""
+            return Body(*context.get_numeric_parameter(self.body_index).CopyToVector().tolist())
+
+        def SetBody(self, context: Any, body: Body) -> None:
+            """Sets the mass in kg and the inertia in kg m^2 that are believed.
+
+            This system's own Context is wanted.  The vehicle's own stay what they are: so
+            one sees what a wrong belief costs.
+            """
+            _CheckBody(body)
+            context.get_mutable_numeric_parameter(self.body_index).SetFromVector(
+                ToVector(T, body)
+            )
+
+        def _ReadGains(self, context: Any) -> np.ndarray:
+            """Returns the gains (5,) with the heading that is asked for."""
+            gains = context.get_numeric_parameter(self.gains_index).CopyToVector()
+            if self._heading.HasValue(context):
+                gains[HEADING] = self._heading.Eval(context)[0]
+            return gains
+
+        def _CalcDisturbance(self, context: Any) -> np.ndarray:
+            """Returns what disturbs the vehicle, (3,) in m/s^2 in W."""
+            if self._predicted_velocity is None:
+                return self._undisturbed
+            bandwidth = context.get_numeric_parameter(self.gains_index).GetAtIndex(4)
+            predicted = self._predicted_velocity.Eval(context)
+            return bandwidth * (self._state.Eval(context)[VELOCITY] - predicted)
+
+        def _CalcPropellerForce(self, context: Any, output: Any) -> None:
+            arguments = (
+                self._state.Eval(context),
+                self._velocity_command.Eval(context),
+                self._acceleration_feedforward.Eval(context),
+                self._CalcDisturbance(context),
+                self._ReadGains(context),
+                context.get_numeric_parameter(self.body_index).CopyToVector(),
+                self._parameters.rotors,
+                self._parameters.gravity,
+                self._saturate,
+            )
+            if T is float:
+                # Looked at afterwards: a bad input makes the forces NaN, and checks in Python
+                # would cost more than the law.
+                forces = _CalcInputCompiled(*arguments)
+            else:
+                self._CheckInputs(context)
+                forces = np.array(CalcPropellerInput(*arguments))
+            if not math.isfinite(ToFloat(forces[0])):
+                self._CheckInputs(context)
+                # The law has no direction for a thrust vector of zero, and overflows far away.
+                CheckFinite(self, context, "the propeller force", ToList(forces))
+            output.SetFromVector(forces)
+
+        def _CalcAcceleration(self, context: Any, output: Any) -> None:
+            forces = self._propeller_force.Eval(context)
+            attitude = tuple(self._state.Eval(context)[ATTITUDE].tolist())
+            lift = self._parameters.force_constant * forces.sum() / self._parameters.mass
+            acceleration = CalcAcceleration(attitude, lift, self._parameters.gravity)
+            output.SetFromVector(np.array(acceleration) + self._CalcDisturbance(context))
+
+        def _CheckInputs(self, context: Any) -> None:
+            for port in (self._state, self._velocity_command, self._acceleration_feedforward):
+                CheckFinite(self, context, port, ToList(port.Eval(context)))
+            if self._heading.HasValue(context):
+                heading = self._heading.Eval(context)
+                CheckFinite(self, context, self._heading, ToList(heading))
+            _CheckGains(self.GetGains(context))
+            _CheckBody(self.GetBody(context))
+
+    return Methods
+
+
 @TemplateSystem.define("Se3Controller_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
 def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
-    class Impl(LeafSystem_[T]):
+    @idle
+    class Impl(Se3Methods(T), LeafSystem_[T]):  # type: ignore[misc]
         """Flies a quadrotor at a commanded velocity by geometric control on SE(3).
 
         .. pydrake_system::
@@ -115,126 +267,16 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
             converter: Any = None,
         ) -> None:
             LeafSystem_[T].__init__(self, converter=converter)
-            _CheckGains(gains)
-            self._parameters = parameters or QuadrotorParameters()
-            self._saturate = saturate
             self._state = self.DeclareVectorInputPort("state", STATE_SIZE)
             self._velocity_command = self.DeclareVectorInputPort("velocity_command", 3)
             self._acceleration_feedforward = self.DeclareVectorInputPort(
                 "acceleration_feedforward", 3
             )
-            self._heading = self.DeclareVectorInputPort("heading", 1)
-            self.gains_index = self.DeclareNumericParameter(BasicVector_[T](list(gains)))
-            self._undisturbed = ToVector(T, [0.0, 0.0, 0.0])
-            self._predicted_velocity: Any = None
-            if ToFloat(gains.disturbance_bandwidth) > 0.0:
-                self._predicted_velocity = self.DeclareVectorInputPort("predicted_velocity", 3)
-            body = [self._parameters.mass, *self._parameters.inertia]
-            self.body_index = self.DeclareNumericParameter(BasicVector_[T](body))
-            sources = {self.all_input_ports_ticket(), self.all_parameters_ticket()}
-            self._propeller_force = self.DeclareVectorOutputPort(
-                "propeller_force", NUM_PROPELLERS, self._CalcPropellerForce, sources
-            )
-            self._acceleration = self.DeclareVectorOutputPort(
-                "acceleration", 3, self._CalcAcceleration, sources
+            self._DeclareController(
+                {self.all_input_ports_ticket()}, parameters, gains, saturate
             )
 
         _construct_copy = ConstructCopy
-
-        @property
-        def parameters(self) -> QuadrotorParameters:
-            """The vehicle that is flown."""
-            return self._parameters
-
-        def GetGains(self, context: Any) -> Gains:
-            """Returns the gains."""
-            return Gains(
-                *context.get_numeric_parameter(self.gains_index).CopyToVector().tolist()
-            )
-
-        def SetGains(self, context: Any, gains: Gains) -> None:
-            """Sets the gains; this system's own Context is wanted.
-
-            To change one: ``SetGains(context, GetGains(context)._replace(heading=0.5))``.
-            """
-            _CheckGains(gains)
-            if gains.disturbance_bandwidth > 0.0 and self._predicted_velocity is None:
-                raise ConfigurationError(
-                    "this controller was made without a disturbance_bandwidth, to estimate none"
-                )
-            context.get_mutable_numeric_parameter(self.gains_index).SetFromVector(
-                ToVector(T, gains)
-            )
-
-        def GetBody(self, context: Any) -> Body:
-            """Returns the mass in kg and the inertia in kg m^2 that are believed."""
-            return Body(*context.get_numeric_parameter(self.body_index).CopyToVector().tolist())
-
-        def SetBody(self, context: Any, body: Body) -> None:
-            """Sets the mass in kg and the inertia in kg m^2 that are believed.
-
-            This system's own Context is wanted.  The vehicle's own stay what they are: so
-            one sees what a wrong belief costs.
-            """
-            _CheckBody(body)
-            context.get_mutable_numeric_parameter(self.body_index).SetFromVector(
-                ToVector(T, body)
-            )
-
-        def _CalcDisturbance(self, context: Any) -> np.ndarray:
-            """Returns what disturbs the vehicle, (3,) in m/s^2 in W."""
-            if self._predicted_velocity is None:
-                return self._undisturbed
-            bandwidth = context.get_numeric_parameter(self.gains_index).GetAtIndex(4)
-            predicted = self._predicted_velocity.Eval(context)
-            return bandwidth * (self._state.Eval(context)[VELOCITY] - predicted)
-
-        def _CalcPropellerForce(self, context: Any, output: Any) -> None:
-            gains = context.get_numeric_parameter(self.gains_index).CopyToVector()
-            if self._heading.HasValue(context):
-                gains[HEADING] = self._heading.Eval(context)[0]
-            arguments = (
-                self._state.Eval(context),
-                self._velocity_command.Eval(context),
-                self._acceleration_feedforward.Eval(context),
-                self._CalcDisturbance(context),
-                gains,
-                context.get_numeric_parameter(self.body_index).CopyToVector(),
-                self._parameters.rotors,
-                self._parameters.gravity,
-                self._saturate,
-            )
-            if T is float:
-                # Looked at afterwards: a bad input makes the forces NaN, and checks in Python
-                # would cost more than the law.
-                forces = _CalcInputCompiled(*arguments)
-            else:
-                self._CheckInputs(context)
-                forces = np.array(CalcPropellerInput(*arguments))
-            if not math.isfinite(ToFloat(forces[0])):
-                self._CheckInputs(context)
-                # The law has no direction for a thrust vector of zero, and overflows far away.
-                CheckFinite(self, context, "the propeller force", ToList(forces))
-            output.SetFromVector(forces)
-
-        def _CalcAcceleration(self, context: Any, output: Any) -> None:
-            forces = self._propeller_force.Eval(context)
-            roll, pitch, yaw = self._state.Eval(context)[ATTITUDE].tolist()
-            R_WB, _ = CalcAttitude((roll, pitch, yaw), (0.0, 0.0, 0.0))
-            thrust = self._parameters.force_constant * forces.sum()
-            lift = thrust / self._parameters.mass
-            x, y, z = R_WB[2]
-            acceleration = np.array([lift * x, lift * y, lift * z - self._parameters.gravity])
-            output.SetFromVector(acceleration + self._CalcDisturbance(context))
-
-        def _CheckInputs(self, context: Any) -> None:
-            for port in (self._state, self._velocity_command, self._acceleration_feedforward):
-                CheckFinite(self, context, port, ToList(port.Eval(context)))
-            if self._heading.HasValue(context):
-                heading = self._heading.Eval(context)
-                CheckFinite(self, context, self._heading, ToList(heading))
-            _CheckGains(self.GetGains(context))
-            _CheckBody(self.GetBody(context))
 
     return Impl
 
@@ -252,6 +294,18 @@ def _CheckGains(gains: Gains) -> None:
 def _CheckBody(body: Body) -> None:
     for name, value in body._asdict().items():
         CheckPositiveParameter(name, value)
+
+
+@compilable
+def AreUsable(gains: np.ndarray, body: np.ndarray) -> bool:
+    """Tells whether the law can do with these; `SetGains` and `SetBody` say what it cannot."""
+    return (
+        np.isfinite(gains).all()
+        and np.isfinite(body).all()
+        and gains[:3].min() > 0.0
+        and gains[4] >= 0.0
+        and body.min() > 0.0
+    )
 
 
 def _MakeCompiled(sources: int) -> Any:
@@ -273,10 +327,7 @@ def _MakeCompiled(sources: int) -> Any:
             and np.isfinite(velocity_command).all()
             and np.isfinite(acceleration).all()
             and np.isfinite(disturbance).all()
-            and np.isfinite(gains).all()
-            and np.isfinite(body).all()
-            and gains[:3].min() > 0.0
-            and body.min() > 0.0
+            and AreUsable(gains, body)
         )
         if not usable:
             return np.full(NUM_PROPELLERS, np.nan)

@@ -25,6 +25,7 @@ from systems.scalars import (
     Sqrt,
     ToFloat,
     ToList,
+    idle,
     remembered,
 )
 
@@ -52,6 +53,7 @@ def DefaultCourseGain(parameters: PlanarVehicleParameters) -> float:
 
 @TemplateSystem.define("CourseController_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
 def CourseController_(T: type) -> Any:  # noqa: D103 (the class below says it)
+    @idle
     class Impl(LeafSystem_[T]):
         """Turns a vehicle of constant airspeed onto the course of a velocity command.
 

@@ -19,6 +19,7 @@ from sgvf_drake.fields.base import (
     Field,
     SteerableField,
 )
+from sgvf_drake.fields.compiled import CompiledField, CompiledMotion
 from systems import scalars
 from systems.scalars import (
     SCALARS,
@@ -29,12 +30,14 @@ from systems.scalars import (
     CheckPositiveParameter,
     ConstructCopy,
     EvalField,
+    MakeMoving,
     Scalar,
     Tanh,
     ToFloat,
     ToList,
     ToVector,
     compilable,
+    idle,
     remembered,
 )
 
@@ -96,6 +99,12 @@ def CheckFlown(field: Field | SteerableField) -> None:
         )
 
 
+def HasCompiledForm(field: Field | SteerableField) -> bool:
+    """Tells whether compiled code can evaluate a field, or the motion of a directed one."""
+    followed = field.with_memory() if isinstance(field, SteerableField) else field
+    return isinstance(followed, CompilableField)
+
+
 def _ApproachLength(field: Field, speed: Scalar, max_approach_rate: float) -> float:
     """Returns the approach length in m at which a vehicle follows a field, 0 if it has none."""
     if not isinstance(field, AdjustableField):
@@ -105,6 +114,7 @@ def _ApproachLength(field: Field, speed: Scalar, max_approach_rate: float) -> fl
 
 @TemplateSystem.define("GuidanceSystem_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
 def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
+    @idle
     class Impl(LeafSystem_[T]):
         """Commands the velocity that follows a guiding vector field.
 
@@ -180,6 +190,28 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             converter: Any = None,
         ) -> None:
             LeafSystem_[T].__init__(self, converter=converter)
+            self._position = self.DeclareVectorInputPort("position", 3)
+            self._velocity = self.DeclareVectorInputPort("velocity", 3)
+            motion = {
+                self.input_port_ticket(port.get_index())
+                for port in (self._position, self._velocity)
+            }
+            self._DeclareGuidance(
+                motion, field, speed, altitude, feedforward, max_approach_rate
+            )
+
+        _construct_copy = ConstructCopy
+
+        def _DeclareGuidance(
+            self,
+            motion: set[Any],
+            field: Field,
+            speed: float,
+            altitude: float,
+            feedforward: bool,
+            max_approach_rate: float,
+        ) -> None:
+            """Declares all but the ports of the motion, of which these are the tickets."""
             CheckFlown(field)
             CheckNonNegativeParameter("speed", speed)
             CheckPositiveParameter("max_approach_rate", max_approach_rate)
@@ -189,17 +221,13 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             self._Flown = lru_cache(WIDENED_FIELDS)(partial(_Fly, field, T))
             self._feedforward = feedforward
             self._Calc = _CalcCommandsCompiled if T is float else _CalcCommandsInPython
-            self._position = self.DeclareVectorInputPort("position", 3)
-            self._velocity = self.DeclareVectorInputPort("velocity", 3)
             self.parameter_index = self.DeclareNumericParameter(
                 BasicVector_[T](
                     [speed, altitude, _ApproachLength(field, speed, max_approach_rate)]
                 )
             )
             parameters = self.all_parameters_ticket()
-            sources = {parameters}
-            for port in (self._position, self._velocity):
-                sources.add(self.input_port_ticket(port.get_index()))
+            sources = {parameters, *motion}
             self._intended: Any = None
             if isinstance(field, SteerableField):
                 sources |= self._DeclareHeading(field, sources)
@@ -208,14 +236,13 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             DeclareCommandPorts(self, T, self._CalcCommands, {*sources, asked})
             self.DeclareVectorOutputPort("speed", 1, self._CalcSpeed, {parameters, asked})
 
-        _construct_copy = ConstructCopy
-
         def _DeclareHeading(self, field: SteerableField, sources: set[Any]) -> set[Any]:
             """Declares what a directed field needs; returns what the commands depend on too."""
             motion, heading = field.with_memory(), self.xc_ticket()
             self._memory_length = motion.memory_length
             self._intended = self.DeclareVectorInputPort("intended_direction", field.dim)
             self.DeclareContinuousState(field.dim)
+            MakeMoving(self)
             self.DeclareVectorOutputPort("heading", field.dim, self._CopyHeading, {heading})
             # Shared by the commands and the rate of the heading, which are both asked for in
             # every stage of the integrator.
@@ -301,12 +328,11 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
                 )
             context.SetContinuousState(ToVector(T, values.tolist()))
 
-        def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
+        def _CalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
             """Turns the heading."""
-            if self._intended is not None:
-                turn = self._Turn(context, self._EvalMotion(context))
-                speed = self._FlownSpeed(context, self.GetSpeed(context))
-                derivatives.get_mutable_vector().SetFromVector(speed * turn)
+            turn = self._Turn(context, self._EvalMotion(context))
+            speed = self._FlownSpeed(context, self.GetSpeed(context))
+            derivatives.get_mutable_vector().SetFromVector(speed * turn)
 
         def _EvalDirected(self, context: Any) -> tuple[np.ndarray, np.ndarray]:
             """Returns m and J by rows, (d + d^2,), and dm by the turn of the heading, (d,)."""
@@ -320,8 +346,16 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             """Returns F of place and heading, and its Jacobian by rows, (2d + 4d^2,)."""
             return self._motion.Eval(context).CopyToVector()
 
+        def _EvalVehicle(self, context: Any) -> tuple[np.ndarray, np.ndarray]:
+            """Returns p_WB and v_WB, (3,) each."""
+            return self._position.Eval(context), self._velocity.Eval(context)
+
+        def _CheckVehicle(self, context: Any) -> None:
+            for port in (self._position, self._velocity):
+                CheckFinite(self, context, port, ToList(port.Eval(context)))
+
         def _CalcMotion(self, context: Any, motion: Any) -> None:
-            place = self._position.Eval(context)[: self._field.dim]
+            place = self._EvalVehicle(context)[0][: self._field.dim]
             flown = self._Flown(*self._ReadParameters(context)[2:])
             values = flown.evaluate(np.concatenate((place, self.GetHeading(context))))
             motion.get_mutable_value().SetFromVector(values)
@@ -347,8 +381,7 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             return context.get_numeric_parameter(self.parameter_index)
 
         def _CalcCommands(self, context: Any) -> np.ndarray:
-            position = self._position.Eval(context)
-            velocity = self._velocity.Eval(context)
+            position, velocity = self._EvalVehicle(context)
             speed, altitude, approach_length = self._ReadParameters(context)
             CheckNonNegativeParameter("speed", speed)
             speed = self._FlownSpeed(context, speed)
@@ -362,8 +395,7 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
                 commands[3 : 3 + len(turning)] += speed * speed * turning
             # Looked at afterwards: what is not finite has made all commands so.
             if not math.isfinite(ToFloat(commands[0])):
-                for port in (self._position, self._velocity):
-                    CheckFinite(self, context, port, ToList(port.Eval(context)))
+                self._CheckVehicle(context)
                 CheckFinite(self, context, "the field's value or Jacobian", ToList(field))
                 CheckFinite(self, context, "the command", ToList(commands))
             if not self._feedforward:
@@ -445,13 +477,28 @@ def _CalcCommands(
         J_v = row[0] * v_WB[0] + row[1] * v_WB[1]
         if dim == 3:
             J_v += row[2] * v_WB[2]
-        commands[i] = speed * field[i]
-        commands[3 + i] = speed * J_v
+        commands[i], commands[3 + i] = field[i], J_v
+    CompleteCommands(dim, p_WB, v_WB, speed, altitude, commands)
+    return commands
+
+
+@compilable
+def CompleteCommands(
+    dim: int,
+    p_WB: np.ndarray,
+    v_WB: np.ndarray,
+    speed: Scalar,
+    altitude: Scalar,
+    commands: np.ndarray,
+) -> None:
+    """Turns m and J v of a field, which stand in commands (6,), into velocity and its rate."""
+    for i in range(dim):
+        commands[i] = speed * commands[i]
+        commands[3 + i] = speed * commands[3 + i]
     if dim == 2:
         climb = Tanh(ALTITUDE_GAIN * (altitude - p_WB[2]) / MAX_CLIMB_RATE)
         commands[2] = MAX_CLIMB_RATE * climb
         commands[5] = -ALTITUDE_GAIN * (1.0 - climb * climb) * v_WB[2]
-    return commands
 
 
 def _CalcCommandsInPython(
@@ -486,11 +533,13 @@ _CalcCommandsCompiled = _MakeCompiled(digest(scalars))
 class _FlownField(NamedTuple):
     """A field of one approach length, and what evaluates it at one point: see `EvalField`.
 
-    A directed field is evaluated as the motion of place and heading.
+    A directed field is evaluated as the motion of place and heading.  What compiled code calls
+    takes the arguments; there are none where the field has no compiled form.
     """
 
     field: Field
     evaluate: Callable[[np.ndarray], np.ndarray]
+    arguments: tuple[Any, ...] | None = None
 
 
 def _Fly(field: Field, T: type, approach_length: float) -> _FlownField:
@@ -500,5 +549,9 @@ def _Fly(field: Field, T: type, approach_length: float) -> _FlownField:
             field = field.with_approach_length(approach_length)
     followed = field.with_memory() if isinstance(field, SteerableField) else field
     if T is float and isinstance(followed, CompilableField):
-        return _FlownField(field, followed.compiled().evaluate)
+        compiled = followed.compiled()
+        arguments = None
+        if isinstance(compiled, CompiledField | CompiledMotion):
+            arguments = compiled.arguments
+        return _FlownField(field, compiled.evaluate, arguments)
     return _FlownField(field, partial(EvalField, followed))

@@ -8,11 +8,12 @@ from pydrake.systems.primitives import Integrator
 
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields.base import Field, SteerableField
-from systems.controller import DEFAULT_GAINS
-from systems.guidance import DEFAULT_ALTITUDE, GuidanceSystem
+from systems.controller import DEFAULT_GAINS, Se3Controller
+from systems.fused_guidance import EVALUATED, PARTS, FusedGuidance
+from systems.guidance import DEFAULT_ALTITUDE, GuidanceSystem, HasCompiledForm
 from systems.quadrotor import ATTITUDE, VELOCITY, QuadrotorParameters
 from systems.se3_law import Gains
-from systems.sensing import DEFAULT_SAMPLE_PERIOD, SensorParameters
+from systems.sensing import DEFAULT_SAMPLE_PERIOD, AddSelection, SensorParameters
 from systems.vehicle import Quadrotor, Vehicle
 
 MOTION = ("position", "velocity")
@@ -58,7 +59,8 @@ class GuidanceLoop(Diagram):
 
     Attributes:
         guidance: The `GuidanceSystem`, or the system in its place.
-        controller: The `Se3Controller`.
+        controller: The `Se3Controller`; where it is fused with guidance, the `FusedGuidance`
+            that both are, of the name "guidance".
         motion_capture: The `IdealMotionCapture`, or with sensors the `MotionCapture`.
         supervisor: The `BranchSupervisor`, or None.
         heading: The `HeadingSystem`, or None.
@@ -68,7 +70,8 @@ class GuidanceLoop(Diagram):
         guidance: A system with input ports `position` (3) and `velocity` (3), and output
             ports `velocity_command` (3) and `acceleration_feedforward` (3), in W and SI units.
         controller: A system with these two as inputs, an input `state` (12) and an output
-            `propeller_force` (4), or for another vehicle its own state and actuation.
+            `propeller_force` (4), or for another vehicle its own state and actuation; or the
+            very `FusedGuidance` that is the guidance.
         motion_capture: An `IdealMotionCapture` or a `MotionCapture`.
         supervisor: A `BranchSupervisor`, or None.
         heading: A `HeadingSystem`, for a controller with an input `heading` (1), or None.
@@ -88,65 +91,107 @@ class GuidanceLoop(Diagram):
         actuation: str = Quadrotor.actuation,
     ) -> None:
         super().__init__()
-        asked = COMMANDS if supervisor is None else (*COMMANDS, "speed")
-        _CheckPorts(guidance, "guidance", MOTION, asked)
-        _CheckPorts(controller, "the controller", ("state", *COMMANDS), (actuation,))
-        self.actuation = actuation
+        self.actuation, self._is_fused = actuation, controller is guidance
+        if not self._is_fused:
+            asked = COMMANDS if supervisor is None else (*COMMANDS, "speed")
+            _CheckPorts(guidance, "guidance", MOTION, asked)
+            _CheckPorts(controller, "the controller", ("state", *COMMANDS), (actuation,))
         if heading is not None:
             _CheckPorts(heading, "heading", ("position", "velocity_command"), ("heading",))
             _CheckPorts(controller, "a controller that is told a heading", ("heading",), ())
         builder = DiagramBuilder()
         self.guidance: Any = builder.AddNamedSystem("guidance", guidance)
-        self.controller: Any = builder.AddNamedSystem("controller", controller)
+        self.controller: Any = guidance
         self.motion_capture: Any = builder.AddNamedSystem("motion_capture", motion_capture)
         self.supervisor: Any = None
-        _Connect(builder, motion_capture, guidance, *MOTION)
-        _Connect(builder, motion_capture, controller, "state")
-        if motion_capture.HasInputPort("acceleration"):
-            _Connect(builder, controller, motion_capture, "acceleration")
+        self._outputs: dict[str, OutputPort] = {}
+        if self._is_fused:
+            self._ConnectFused(builder)
+        else:
+            self.controller = builder.AddNamedSystem("controller", controller)
+            self._ConnectTwo(builder, supervisor)
         self._predictor: Any = None
         if controller.HasInputPort("predicted_velocity"):
             self._AddPredictor(builder)
+        if motion_capture.HasInputPort("acceleration"):
+            port = motion_capture.GetInputPort("acceleration")
+            builder.Connect(self._OutputNamed(builder, "acceleration"), port)
+        self.heading: Any = None
+        if heading is not None:
+            self._AddHeading(builder, heading)
+        self._Export(builder)
+        builder.BuildInto(self)
+
+    def _ConnectFused(self, builder: DiagramBuilder) -> None:
+        """Connects guidance and controller in one with what they are given."""
+        capture, fused = self.motion_capture, self.guidance
+        measured = ("state",) if fused.HasInputPort("state") else PARTS
+        _Connect(builder, capture, fused, *measured)
+        # The feed-forward is seldom asked for, and a selection of it would always cost.
+        for name in ("state", "position", "acceleration_feedforward"):
+            source = fused if fused.HasOutputPort(name) else capture
+            self._outputs[name] = source.GetOutputPort(name)
+
+    def _ConnectTwo(self, builder: DiagramBuilder, supervisor: Any) -> None:
+        """Connects guidance and controller, and a supervisor between them."""
+        capture, guidance, controller = self.motion_capture, self.guidance, self.controller
+        _Connect(builder, capture, guidance, *MOTION)
+        _Connect(builder, capture, controller, "state")
         commander = guidance
         if supervisor is not None:
             commander = self.supervisor = builder.AddNamedSystem("supervisor", supervisor)
             self._ConnectSupervisor(builder)
         _Connect(builder, commander, controller, *COMMANDS)
-        self.heading: Any = None
-        if heading is not None:
-            self.heading = builder.AddNamedSystem("heading", heading)
-            _Connect(builder, motion_capture, heading, "position")
-            _Connect(builder, commander, heading, "velocity_command")
-            _Connect(builder, heading, controller, "heading")
-        builder.ExportInput(motion_capture.GetInputPort("state"), "state")
+        for source, names in (
+            (capture, ("state", "position")),
+            (commander, COMMANDS),
+            (controller, (self.actuation, "acceleration")),
+        ):
+            for name in names:
+                if source.HasOutputPort(name):
+                    self._outputs[name] = source.GetOutputPort(name)
+
+    def _OutputNamed(self, builder: DiagramBuilder, name: str) -> OutputPort:
+        """Returns what has these values; of a fused system it is a part of its evaluation."""
+        if name not in self._outputs:
+            evaluation = self.guidance.GetOutputPort("evaluation")
+            self._outputs[name] = AddSelection(builder, evaluation, name, EVALUATED[name])
+        return self._outputs[name]
+
+    def _AddHeading(self, builder: DiagramBuilder, heading: Any) -> None:
+        self.heading = builder.AddNamedSystem("heading", heading)
+        _Connect(builder, self.motion_capture, heading, "position")
+        port = heading.GetInputPort("velocity_command")
+        builder.Connect(self._outputs["velocity_command"], port)
+        _Connect(builder, heading, self.controller, "heading")
+
+    def _Export(self, builder: DiagramBuilder) -> None:
+        """Makes ports of what is connected with nothing inside, and of what is told."""
+        builder.ExportInput(self.motion_capture.GetInputPort("state"), "state")
         for system, name in (
-            (guidance, "speed"),
-            (guidance, "intended_direction"),
-            (supervisor, "next_edge"),
-            (supervisor, "measurement_age"),
-            (controller, "heading"),
+            (self.guidance, "speed"),
+            (self.guidance, "intended_direction"),
+            (self.supervisor, "next_edge"),
+            (self.supervisor, "measurement_age"),
+            (self.controller, "heading"),
         ):
             if system is not None and system.HasInputPort(name):
                 port = system.GetInputPort(name)
                 if not builder.IsConnectedOrExported(port):
                     builder.ExportInput(port, name)
-        builder.ExportOutput(motion_capture.GetOutputPort("state"), "measured_state")
-        builder.ExportOutput(motion_capture.GetOutputPort("position"), "position")
-        for name in COMMANDS:
-            builder.ExportOutput(commander.GetOutputPort(name), name)
-        builder.ExportOutput(controller.GetOutputPort(actuation), actuation)
+        builder.ExportOutput(self._outputs["state"], "measured_state")
+        builder.ExportOutput(self._outputs["position"], "position")
+        for name in (*COMMANDS, self.actuation):
+            builder.ExportOutput(self._OutputNamed(builder, name), name)
         for name in REPORTS:
-            if supervisor is not None and supervisor.HasOutputPort(name):
-                builder.ExportOutput(supervisor.GetOutputPort(name), name)
-        builder.BuildInto(self)
+            if self.supervisor is not None and self.supervisor.HasOutputPort(name):
+                builder.ExportOutput(self.supervisor.GetOutputPort(name), name)
 
     def _AddPredictor(self, builder: DiagramBuilder) -> None:
-        controller = self.controller
         predictor = self._predictor = builder.AddNamedSystem("predictor", Integrator(3))
-        builder.Connect(controller.GetOutputPort("acceleration"), predictor.get_input_port())
-        builder.Connect(
-            predictor.get_output_port(), controller.GetInputPort("predicted_velocity")
-        )
+        builder.Connect(self._OutputNamed(builder, "acceleration"), predictor.get_input_port())
+        port = self.controller.GetInputPort("predicted_velocity")
+        builder.Connect(predictor.get_output_port(), port)
 
     def _ConnectSupervisor(self, builder: DiagramBuilder) -> None:
         capture, guidance, supervisor = self.motion_capture, self.guidance, self.supervisor
@@ -192,6 +237,7 @@ def AddGuidance(
     supervisor: Any = None,
     heading: Any = None,
     measured_port: OutputPort | None = None,
+    fused: bool = True,
 ) -> GuidanceLoop:
     """Makes a vehicle in a diagram follow a guiding vector field.
 
@@ -221,6 +267,10 @@ def AddGuidance(
             gains say.
         measured_port: The state that is measured; by default that of the plant.  This is
             where a `Dropout` comes in.
+        fused: Whether guidance and controller of a quadrotor become one `FusedGuidance` where
+            nothing stands between them: the guidance is a field with a compiled form, and there
+            is neither a supervisor nor a `heading`.  False keeps two systems, which is slower,
+            and what is needed where the input `heading` is made of `velocity_command` outside.
 
     Returns:
         The loop.
@@ -238,13 +288,23 @@ def AddGuidance(
         )
     speed = vehicle.own_speed if speed is None else speed
     guide: Any = guidance
+    controller: Any = vehicle.MakeController()
+    is_fused = False
     if not isinstance(guidance, System):
-        guide = GuidanceSystem(guidance, speed, altitude, feedforward, vehicle.approach_rate)
+        flown = (guidance, speed, altitude, feedforward, vehicle.approach_rate)
+        between = supervisor is not None or heading is not None
+        can_be = HasCompiledForm(guidance) and type(controller) is Se3Controller
+        is_fused = fused and can_be and not between
+        if is_fused:
+            in_parts = sensors is not None
+            guide = controller = FusedGuidance(
+                *flown, in_parts=in_parts, **controller.arguments
+            )
+        else:
+            guide = GuidanceSystem(*flown)
         vehicle.CheckGuided(guidance.dim, speed)
-    capture = vehicle.MakeMotionCapture(sample_period, sensors)
-    loop = GuidanceLoop(
-        guide, vehicle.MakeController(), capture, supervisor, heading, actuation
-    )
+    capture = vehicle.MakeMotionCapture(sample_period, sensors, is_fused)
+    loop = GuidanceLoop(guide, controller, capture, supervisor, heading, actuation)
     builder.AddNamedSystem(name, loop)
     builder.Connect(measured_port or plant.GetOutputPort("state"), loop.GetInputPort("state"))
     _Connect(builder, loop, plant, actuation)

@@ -18,6 +18,7 @@ from systems.scalars import (
     ToFloat,
     ToList,
     ToVector,
+    idle,
     remembered,
 )
 from systems.se3_law import SLOW_SPEED
@@ -29,6 +30,7 @@ NEAR = 0.1
 
 @TemplateSystem.define("HeadingSystem_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
 def HeadingSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
+    @idle
     class Impl(LeafSystem_[T]):
         """Tells a vehicle where to look: along its path, or towards a point.
 

@@ -27,6 +27,7 @@ from systems.scalars import (
     ConstructCopy,
     EvalFieldValue,
     Scalar,
+    idle,
     remembered,
 )
 
@@ -36,6 +37,7 @@ DEFAULT_NAVIGATION_PERIOD = 0.01
 
 @TemplateSystem.define("KinematicGuidance_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
 def KinematicGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
+    @idle
     class Impl(LeafSystem_[T]):
         """Moves n agents along a guiding vector field with one call of the field.
 

@@ -27,6 +27,7 @@ from systems.scalars import (
     Scalar,
     Split,
     ToFloat,
+    idle,
     remembered,
 )
 
@@ -50,6 +51,7 @@ class DifferentiableFunction(Protocol):
 
 @TemplateSystem.define("LyapunovMonitor_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
 def LyapunovMonitor_(T: type) -> Any:  # noqa: D103 (the class below says it)
+    @idle
     class Impl(LeafSystem_[T]):
         """Evaluates a Lyapunov function V along the motion of n agents.
 

@@ -36,7 +36,7 @@ from systems.quadrotor import (
     STATE_SIZE,
     QuadrotorParameters,
 )
-from systems.scalars import CheckFinite, CheckPositiveParameter
+from systems.scalars import CheckFinite, CheckPositiveParameter, idle
 
 BODY_SIZE = (0.9, 0.5, 0.3)
 """Of the body's box along x, y and z, in arm lengths: longer than wide, to tell its heading."""
@@ -74,6 +74,7 @@ MAX_POINTS = 2048
 """A minute at the first sample period; even, so that it can be halved."""
 
 
+@idle
 class QuadrotorGeometry(LeafSystem):
     """Tells a SceneGraph where the frame of a quadrotor is.
 
@@ -184,6 +185,7 @@ def QuadrotorShapes(L: float) -> Iterator[tuple[str, Shape, RigidTransform, Rgba
         )
 
 
+@idle
 class FlightTrail(LeafSystem):
     """Draws the way that a vehicle has flown as one line in Meshcat.
 

@@ -32,7 +32,15 @@ from systems.quadrotor import (
     VELOCITY,
     QuadrotorParameters,
 )
-from systems.scalars import SCALARS, CheckFinite, ConstructCopy, Sqrt, ToList, remembered
+from systems.scalars import (
+    SCALARS,
+    CheckFinite,
+    ConstructCopy,
+    Sqrt,
+    ToList,
+    idle,
+    remembered,
+)
 from systems.vehicle import Quadrotor
 
 BODY_STATE_SIZE = 13
@@ -51,6 +59,7 @@ moment, that are rounding."""
 
 @TemplateSystem.define("FloatingBodyState_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
 def FloatingBodyState_(T: type) -> Any:  # noqa: D103 (the class below says it)
+    @idle
     class Impl(LeafSystem_[T]):
         """Tells the state of a floating body of a MultibodyPlant as QuadrotorPlant does.
 

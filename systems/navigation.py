@@ -15,12 +15,14 @@ from systems.scalars import (
     ConstructCopy,
     ToList,
     ToVector,
+    idle,
     remembered,
 )
 
 
 @TemplateSystem.define("RouteNavigator_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
 def RouteNavigator_(T: type) -> Any:  # noqa: D103 (the class below says it)
+    @idle
     class Impl(LeafSystem_[T]):
         """Gives n agents their intended directions along an itinerary.
 

@@ -355,6 +355,14 @@ def CalcAttitude(rpy: Vector3, rpy_rates: Vector3) -> tuple[Rotation, Vector3]:
 
 
 @compilable
+def CalcAcceleration(rpy: Vector3, lift: Scalar, gravity: float) -> Vector3:
+    """Returns what the propellers accelerate a vehicle by, in W, all in m/s^2 but the rad."""
+    R_WB, _ = CalcAttitude(rpy, (0.0, 0.0, 0.0))
+    x, y, z = R_WB[2]
+    return lift * x, lift * y, lift * z - gravity
+
+
+@compilable
 def CalcPropellerForces(
     rotors: Rotors, thrust: Scalar, torque: Vector3, saturate: bool
 ) -> tuple[Scalar, Scalar, Scalar, Scalar]:

@@ -19,6 +19,7 @@ from pydrake.systems.primitives import (
     Demultiplexer,
     DiscreteTimeDelay,
     Gain,
+    MatrixGain,
     PassThrough,
     RandomSource,
     ZeroOrderHold,
@@ -27,7 +28,7 @@ from pydrake.systems.scalar_conversion import TemplateSystem
 
 from sgvf_drake.exceptions import ConfigurationError
 from systems.quadrotor import ATTITUDE, POSITION, RATES, STATE_SIZE, VELOCITY
-from systems.scalars import SCALARS, ConstructCopy, ToFloat, remembered
+from systems.scalars import SCALARS, ConstructCopy, ToFloat, idle, remembered
 from systems.state_estimator import DEFAULT_BANDWIDTH, StateEstimator
 
 DEFAULT_SAMPLE_PERIOD = 0.01
@@ -96,6 +97,8 @@ class MotionCapture(Diagram):
         output_ports:
         - position
         - velocity
+        - attitude
+        - rates
         - state
         - measurement_age
 
@@ -104,17 +107,19 @@ class MotionCapture(Diagram):
     an accelerometer tells it: `Se3Controller` has it; see `StateEstimator`.
 
     `position` (3) in m and `velocity` (3) in m/s are what the estimator makes of the positions
-    of the motion capture, for guidance.  The output `state` (12) has them too, with attitude
-    and rates that are sampled at the on-board rate, for the controller.  `measurement_age` (1)
-    is the age of what was last measured in s.  None is a direct feed-through.
+    of the motion capture, for guidance.  `attitude` (3) in rad and `rates` (3) in rad/s are
+    sampled at the on-board rate, and the output `state` (12) is all four, for the controller.
+    `measurement_age` (1) is the age of what was last measured in s.  None is a direct
+    feed-through.
 
     The noise is Drake's `RandomSource`; see `SetNoiseSeed`.
 
     Args:
         parameters: Noise, delay and rates.
+        whole: Whether there is `state`: a system in Python that takes time even if nobody asks.
     """
 
-    def __init__(self, parameters: SensorParameters) -> None:
+    def __init__(self, parameters: SensorParameters, whole: bool = True) -> None:
         super().__init__()
         self._parameters = parameters
         builder = DiagramBuilder()
@@ -134,12 +139,15 @@ class MotionCapture(Diagram):
             builder.Connect(noisy, hold.get_input_port())
             self._holds.append((hold, entries))
             held.append(hold.get_output_port())
-        whole = builder.AddNamedSystem("state", Concatenation([3, 3, 3, 3]))
-        for index, port in enumerate((estimate[0], held[0], estimate[1], held[1])):
-            builder.Connect(port, whole.get_input_port(index))
         for port in estimate:
             builder.ExportOutput(port, port.get_name())
-        builder.ExportOutput(whole.get_output_port(), "state")
+        for port, name in zip(held, ("attitude", "rates"), strict=True):
+            builder.ExportOutput(port, name)
+        if whole:
+            parts = builder.AddNamedSystem("state", Concatenation([3, 3, 3, 3]))
+            for index, port in enumerate((estimate[0], held[0], estimate[1], held[1])):
+                builder.Connect(port, parts.get_input_port(index))
+            builder.ExportOutput(parts.get_output_port(), "state")
         builder.ExportOutput(
             self._estimator.GetOutputPort("measurement_age"), "measurement_age"
         )
@@ -214,6 +222,7 @@ class IdealMotionCapture(Diagram):
         period: In s, for which a sample is held; 0 passes the state through in continuous time.
         size: That of the state, which begins with the position; by default QuadrotorPlant's.
         velocity: The entries of the velocity in it.
+        in_parts: Whether there are `position` and `velocity` too.
     """
 
     def __init__(
@@ -221,28 +230,19 @@ class IdealMotionCapture(Diagram):
         period: float = DEFAULT_SAMPLE_PERIOD,
         size: int = STATE_SIZE,
         velocity: slice = VELOCITY,
+        in_parts: bool = True,
     ) -> None:
         super().__init__()
         builder = DiagramBuilder()
-        sizes = [3, velocity.start - 3, 3, size - velocity.stop]
-        parts = builder.AddNamedSystem("state_parts", Demultiplexer([n for n in sizes if n]))
-        builder.ExportInput(parts.get_input_port(), "state")
-        self._holds: list[tuple[Any, slice]] = []
-        for name, entries, part in (
-            ("state", slice(size), None),
-            ("position", POSITION, parts.get_output_port(0)),
-            ("velocity", velocity, parts.get_output_port(2)),
-        ):
-            width = size if part is None else part.size()
-            hold: Any = ZeroOrderHold(period, width) if period > 0.0 else PassThrough(width)
-            builder.AddNamedSystem(name, hold)
-            if part is None:
-                builder.ConnectInput("state", hold.get_input_port())
-            else:
-                builder.Connect(part, hold.get_input_port())
-            builder.ExportOutput(hold.get_output_port(), name)
-            if period > 0.0:
-                self._holds.append((hold, entries))
+        self._is_sampled = period > 0.0
+        hold: Any = ZeroOrderHold(period, size) if self._is_sampled else PassThrough(size)
+        self._hold: Any = builder.AddNamedSystem("state", hold)
+        builder.ExportInput(hold.get_input_port(), "state")
+        builder.ExportOutput(hold.get_output_port(), "state")
+        parts = {"position": POSITION, "velocity": velocity} if in_parts else {}
+        for name, entries in parts.items():
+            part = AddSelection(builder, hold.get_output_port(), name, entries)
+            builder.ExportOutput(part, name)
         builder.BuildInto(self)
 
     def SetVectorState(self, context: Context, state: Any) -> None:
@@ -252,8 +252,23 @@ class IdealMotionCapture(Diagram):
             context: This system's own.
             state: The state, of the size of this system's.
         """
-        for hold, entries in self._holds:
-            hold.SetVectorState(self.GetMutableSubsystemContext(hold, context), state[entries])
+        if self._is_sampled:
+            own = self.GetMutableSubsystemContext(self._hold, context)
+            self._hold.SetVectorState(own, state)
+
+
+def AddSelection(
+    builder: DiagramBuilder, port: OutputPort, name: str, entries: slice
+) -> OutputPort:
+    """Adds a system of this name that takes entries of a vector, and returns its output.
+
+    Drake's Demultiplexer would do, but its outputs count as dependent on the time: behind it,
+    everything is evaluated anew in every stage of the integrator.
+    """
+    rows: Any = np.eye(port.size())[entries]
+    selection = builder.AddNamedSystem(name, MatrixGain(rows))
+    builder.Connect(port, selection.get_input_port())
+    return selection.get_output_port()
 
 
 def DrawNoise(diagram: Diagram, context: Context, generator: RandomGenerator) -> None:
@@ -273,6 +288,7 @@ def DrawNoise(diagram: Diagram, context: Context, generator: RandomGenerator) ->
 
 @TemplateSystem.define("Dropout_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
 def Dropout_(T: type) -> Any:  # noqa: D103 (the class below says it)
+    @idle
     class Impl(LeafSystem_[T]):
         """Loses some entries of a vector for some time: they are NaN then.
 
@@ -332,6 +348,7 @@ Dropout = Dropout_[None]
 
 @TemplateSystem.define("Concatenation_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
 def Concatenation_(T: type) -> Any:  # noqa: D103 (the class below says it)
+    @idle
     class Impl(LeafSystem_[T]):
         """Puts its input vectors one after the other.
 

@@ -22,6 +22,7 @@ from systems.scalars import (
     ConstructCopy,
     ToList,
     ToVector,
+    idle,
     remembered,
 )
 
@@ -68,6 +69,7 @@ class Pace(NamedTuple):
 
 @TemplateSystem.define("SpacingController_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
 def SpacingController_(T: type) -> Any:  # noqa: D103 (the class below says it)
+    @idle
     class Impl(LeafSystem_[T]):
         """Sets the speeds of n vehicles on one closed path until their gaps are as asked.
 

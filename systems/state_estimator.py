@@ -17,6 +17,7 @@ from systems.scalars import (
     ToFloat,
     ToList,
     ToVector,
+    idle,
     remembered,
 )
 
@@ -35,6 +36,7 @@ _NEW, _WAITING, _STARTED = 0.0, 1.0, 2.0
 
 @TemplateSystem.define("StateEstimator_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
 def StateEstimator_(T: type) -> Any:  # noqa: D103 (the class below says it)
+    @idle
     class Impl(LeafSystem_[T]):
         """Estimates position and velocity from positions sampled at a fixed period.
 

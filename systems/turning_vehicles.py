@@ -136,7 +136,7 @@ class TurningVehicle(Vehicle):
         return controller
 
     def MakeMotionCapture(
-        self, sample_period: float, sensors: SensorParameters | None
+        self, sample_period: float, sensors: SensorParameters | None, fused: bool = False
     ) -> IdealMotionCapture | MotionCapture:
         """Returns ideal motion capture."""
         if sensors is not None:

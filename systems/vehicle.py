@@ -127,9 +127,11 @@ class Vehicle(ABC):
 
     @abstractmethod
     def MakeMotionCapture(
-        self, sample_period: float, sensors: SensorParameters | None
+        self, sample_period: float, sensors: SensorParameters | None, fused: bool = False
     ) -> IdealMotionCapture | MotionCapture:
         """Returns what measures the state; without sensors it is ideal.
+
+        For a `FusedGuidance` it has only the ports that this needs.
 
         Raises:
             ConfigurationError: if the vehicle has no such sensors.
@@ -243,10 +245,12 @@ class Quadrotor(Vehicle):
         return controller
 
     def MakeMotionCapture(
-        self, sample_period: float, sensors: SensorParameters | None
+        self, sample_period: float, sensors: SensorParameters | None, fused: bool = False
     ) -> IdealMotionCapture | MotionCapture:
         """Returns ideal motion capture, or with noise and delay."""
-        return IdealMotionCapture(sample_period) if sensors is None else MotionCapture(sensors)
+        if sensors is None:
+            return IdealMotionCapture(sample_period, in_parts=not fused)
+        return MotionCapture(sensors, whole=not fused)
 
     def CheckGuided(self, dim: int, speed: float) -> None:
         """Refuses nothing: it flies in the plane and in space, and at any speed."""

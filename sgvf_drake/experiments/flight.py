@@ -13,6 +13,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram
 
 from sgvf_drake.arrays import FloatArray
+from sgvf_drake.compiling import announced
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
 from sgvf_drake.experiments.scene import FlightScene
 from sgvf_drake.experiments.simulation import advance, read_log
@@ -66,6 +67,8 @@ END_SECTION = 1.0
 SLOWED = 0.5
 # A flight that may be over before its time is looked at this often, s.
 LOOK_PERIOD = 0.1
+# What a flight tells of numba, whose code then lies in its cache on disk.
+COMPILING = "compile, on the first run only"
 # Points of each piece of the reference at which the demand of the path is read.
 DEMAND_SAMPLES = 2_000
 # The slider of the speed ends at what the vehicle can follow the path with, or at so many times
@@ -381,6 +384,7 @@ def simulate(
             simulator, page or shown, _top_speed(spec.speed, feasibility)
         ) as controls,
     ):
+        _compile(loop, context, progress)
         begin = time.perf_counter()
         if controls is not None:
             over, live = _advance_live(
@@ -397,6 +401,20 @@ def simulate(
     log["cross_track_error"] = reference.project(positions_of(log, field.dim)).distance
     left = None if watch is None else watch.exit
     return SimulatedFlight(log, wall_s, over, left, feasibility, live or None)
+
+
+def _compile(loop: Any, context: Context, progress: Progress) -> None:
+    """Evaluates a loop once, so that numba compiles before the clock of a flight runs."""
+    told = []
+
+    def tell() -> None:
+        told.append(COMPILING)
+        progress(COMPILING, 0.0, 1.0)
+
+    with announced(tell):
+        loop.GetOutputPort(loop.actuation).Eval(loop.GetMyContextFromRoot(context))
+    if told:
+        progress(COMPILING, 1.0, 1.0)
 
 
 def _heading_system(heading: Literal["path"] | tuple[float, float]) -> Any:

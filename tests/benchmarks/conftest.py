@@ -16,11 +16,12 @@ def out():
 
 @pytest.fixture(scope="session")
 def save(out):
-    """Prints rows as a table and saves it as build/bench/NAME.csv: (rows, name) -> table."""
+    """Prints rows as a table and saves it in build/bench, as CSV and JSON: (rows, name)."""
 
     def save_table(rows, name):
         table = pd.DataFrame(rows)
         table.to_csv(out / f"{name}.csv", index=False)
+        table.to_json(out / f"{name}.json", orient="records", indent=1)
         print(f"\n{name}\n{table.round(4).to_string(index=False)}")
         return table
 

@@ -1,12 +1,4 @@
-"""How fast flights are simulated and where the time goes; what two hundred of them keep.
-
-The real-time factor is that of the same plant, motion capture, logs and integrator, with one of
-these in the place of guidance and controller:
-
-- learned field: what users fly;
-- empty: the ports of both, and as little Python behind them as can be: the ceiling of any
-  controller in Python;
-- no Python: a constant force from Drake's own source: the ceiling of the simulation.
+"""What two hundred flights keep of a process: their memory and their time.
 
 A diagram that is built once and whose Context is reset for every flight keeps no memory; one
 that is built anew for every flight keeps what Drake and Python hold of it in cycles.
@@ -18,100 +10,15 @@ import time
 import numpy as np
 import pandas as pd
 import psutil
-from pydrake.systems.framework import DiagramBuilder, LeafSystem
-from pydrake.systems.primitives import ConstantVectorSource, LogVectorOutput, ZeroOrderHold
 import pytest
 
-from systems import (
-    MakeFlightDiagram,
-    MakeSimulator,
-    QuadrotorParameters,
-    SetHover,
-)
+from systems import MakeFlightDiagram, MakeSimulator, SetHover
 
-from .measuring import Circle, best_of, timed
+from .measuring import Circle, timed
 
 pytestmark = pytest.mark.benchmark
 
 SAMPLE_PERIOD = 0.01
-SIMULATED_S = 30.0
-START = (1.25, 0.0, 1.0)
-HOVER = np.full(4, QuadrotorParameters().hover_force)
-
-
-class EmptyController(LeafSystem):
-    """The ports of guidance and controller, and as little Python behind them as can be."""
-
-    def __init__(self):
-        super().__init__()
-        self._state = self.DeclareVectorInputPort("state", 12)
-        source = {self.input_port_ticket(self._state.get_index())}
-        self.DeclareVectorOutputPort("velocity_command", 3, self._calc_command, source)
-        self.DeclareVectorOutputPort("propeller_force", 4, self._calc_force, source)
-
-    def _calc_command(self, context, output):
-        output.SetFromVector(self._state.Eval(context)[6:9])
-
-    def _calc_force(self, context, output):
-        self._state.Eval(context)
-        output.SetFromVector(HOVER)
-
-
-def make_ceiling_diagram(in_python):
-    """The flight diagram without guidance and controller: same plant, hold and logs."""
-    builder = DiagramBuilder()
-    plant = builder.AddNamedSystem("plant", QuadrotorParameters().MakePlant())
-    hold = builder.AddSystem(ZeroOrderHold(SAMPLE_PERIOD, 12))
-    builder.Connect(plant.GetOutputPort("state"), hold.get_input_port())
-    if in_python:
-        controller = builder.AddSystem(EmptyController())
-        builder.Connect(hold.get_output_port(), controller.GetInputPort("state"))
-        force, command = (
-            controller.GetOutputPort(name) for name in ("propeller_force", "velocity_command")
-        )
-    else:
-        force, command = (
-            builder.AddSystem(ConstantVectorSource(value)).get_output_port()
-            for value in (HOVER, np.zeros(3))
-        )
-    builder.Connect(force, plant.GetInputPort("propeller_force"))
-    for port in (plant.GetOutputPort("state"), command, force):
-        LogVectorOutput(port, builder, SAMPLE_PERIOD)
-    return builder.Build()
-
-
-def simulate(diagram):
-    """The vehicle's state at the end."""
-    simulator = MakeSimulator(diagram)
-    context = simulator.get_mutable_context()
-    SetHover(diagram, context, START)
-    simulator.AdvanceTo(SIMULATED_S)
-    own = diagram.GetSubsystemByName("plant").GetMyContextFromRoot(context)
-    return own.get_continuous_state_vector().CopyToVector()
-
-
-def test_real_time_factor(save, flight_field):
-    rows = []
-    for name, diagram in {
-        "empty": make_ceiling_diagram(in_python=True),
-        "learned field": MakeFlightDiagram(flight_field, speed=0.45),
-        "no Python": make_ceiling_diagram(in_python=False),
-    }.items():
-        ends, seconds = best_of(lambda made=diagram: simulate(made), clock=time.perf_counter)
-        factor = SIMULATED_S / seconds
-        rows.append(
-            {
-                "diagram": name,
-                "real_time_factor": factor,
-                "share_of_empty": factor / (rows[0]["real_time_factor"] if rows else factor),
-                "us_per_sample": 1e6 * SAMPLE_PERIOD / factor,
-            }
-        )
-        # A repeated flight is the same flight.
-        for end in ends[1:]:
-            np.testing.assert_array_equal(end, ends[0])
-    save(rows, "real_time_factor")
-
 
 # Many flights. The first fill caches and the pools of the allocator, and the garbage
 # collector takes longer than a flight, so it is not called after each.

@@ -23,7 +23,6 @@ from systems import (
     SetPositions,
     SetVehicleState,
 )
-from systems.quadrotor import POSITION, VELOCITY
 
 from .flying import PARAMETERS, SPEED, differences, order
 
@@ -155,11 +154,12 @@ def set_variables(diagram, context, variables):
     """Sets start, gains and speed, of either scalar type."""
     state, gains, speed = np.split(variables, [12, 16])
     if context.num_discrete_state_groups():
-        for group, part in enumerate((state, state[POSITION], state[VELOCITY])):
-            context.SetDiscreteState(group, part)
+        context.SetDiscreteState(state)
     context.SetContinuousState(state)
     loop = diagram.GetSubsystemByName("guidance_loop")
-    guidance, controller = map(loop.GetSubsystemByName, ("guidance", "controller"))
+    # Fused, they are one.
+    names = [n for n in ("guidance", "controller") if loop.HasSubsystemNamed(n)]
+    guidance, controller = (loop.GetSubsystemByName(n) for n in (names[0], names[-1]))
     controller.SetGains(controller.GetMyMutableContextFromRoot(context), Gains(*gains))
     guidance.SetSpeed(guidance.GetMyMutableContextFromRoot(context), speed[0])
 

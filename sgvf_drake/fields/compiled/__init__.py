@@ -33,9 +33,11 @@ class CompiledField:
 
     Attributes:
         field: The guiding field.
+        arguments: It, as `evaluation.field_jet` takes it.
     """
 
     field: ComposedField
+    arguments: tuple[Any, ...]
 
     def __init__(self, field: ComposedField, *, learned: tuple[Any, ...] | None = None) -> None:
         """Packs a field.
@@ -49,8 +51,9 @@ class CompiledField:
 
         self.field = field
         self._learned = pack_learned(field) if learned is None else learned
-        self._arguments = (*self._learned, *pack_composed(field))
+        self.arguments = (*self._learned, *pack_composed(field))
         self._evaluate = evaluate
+        self._axes = np.eye(field.dim)
         self._shape = (field.dim,)
 
     @property
@@ -76,11 +79,13 @@ class CompiledField:
         """
         return CompiledField(self.field.with_approach_length(length), learned=self._learned)
 
-    def evaluate(self, point: FloatArray) -> FloatArray:
+    def evaluate(self, point: FloatArray, directions: FloatArray | None = None) -> FloatArray:
         """Returns m and then J by rows at one point, flattened: (d,) -> (d + d^2,).
 
         Args:
             point: An array, a tuple or a list.
+            directions: Float64 (k, d); in place of J there are then its products with these,
+                J v in each column of (d, k), at less cost.
 
         Raises:
             ValueError: The point is not of shape (d,).
@@ -89,7 +94,8 @@ class CompiledField:
         x = np.array(point, dtype=np.float64)
         if x.shape != self._shape:
             raise ValueError(f"expected a position of shape {self._shape}, not {x.shape}")
-        return self._evaluate(x, *self._arguments)
+        directions = self._axes if directions is None else directions
+        return self._evaluate(x, directions, *self.arguments)
 
     def __call__(self, x: FloatArray) -> FloatArray:
         """Returns m(x): (d,) -> (d,), or (n, d) -> (n, d)."""
@@ -118,6 +124,7 @@ class CompiledMotion:
 
     Attributes:
         motion: The field.
+        arguments: It, as `evaluation.motion_jet` takes it.
     """
 
     def __init__(self, motion: MemoryField) -> None:
@@ -127,7 +134,7 @@ class CompiledMotion:
 
         self.motion = motion
         field = motion.field
-        self._arguments = (
+        self.arguments = (
             np.array(field.cloud.center),
             field.cloud.unit_length,
             *pack_strands(field.strands),
@@ -146,4 +153,4 @@ class CompiledMotion:
         y = np.array(y, dtype=np.float64)
         if y.shape != self._shape:
             raise ValueError(f"expected (x, h) of shape {self._shape}, not {y.shape}")
-        return self._evaluate(y, *self._arguments)
+        return self._evaluate(y, *self.arguments)

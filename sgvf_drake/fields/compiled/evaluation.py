@@ -1,7 +1,8 @@
-"""The one function that is compiled and cached: a guiding field's value and Jacobian.
+"""A guiding field's value and derivatives at one point: parts of kernels, and two kernels.
 
 Score and tangent are put together with their derivatives, which go forward: each of them is
-that of a sum or a product in the formula before it.
+that of a sum or a product in the formula before it.  They are those along k directions: the
+identity gives the Jacobian, one velocity the rate J v.
 """
 
 import math
@@ -33,6 +34,7 @@ def _make_evaluate(sources: int) -> Any:
     @kernel
     def evaluate(
         x: FloatArray,
+        directions: FloatArray,
         center: FloatArray,
         unit_length: float,
         score_sizes: np.ndarray,
@@ -44,19 +46,26 @@ def _make_evaluate(sources: int) -> Any:
         rest_width: float,
     ) -> FloatArray:
         sources  # noqa: B018 (enclosed to be in the key of the cache; see `digest`)
-        z = np.empty(len(x))
-        for i in range(len(x)):
-            z[i] = (x[i] - center[i]) / unit_length
-        # Without sizes it is a mixture.  A function for this costs a second to compile.
-        if len(score_sizes) == 0:
-            S = score_jet(score_numbers[1:], score_numbers[0], z)
-        else:
-            S = network_jet(score_sizes, score_numbers, z)
-        N = network_jet(tangent_sizes, tangent_numbers, z)
-        m = composed_jet(compositions[0], S, N)
-        if len(ends) > 0:
-            m = blended_jet(m, composed_jet(compositions[1], S, N), ends, rest_width, z)
-        return _flattened(m, unit_length)
+        m = field_jet(
+            x,
+            directions,
+            center,
+            unit_length,
+            score_sizes,
+            score_numbers,
+            tangent_sizes,
+            tangent_numbers,
+            compositions,
+            ends,
+            rest_width,
+        )
+        d, k = m.shape[1], len(directions)
+        flat = np.empty(d + d * k)
+        for i in range(d):
+            flat[i] = m[0, i]
+            for j in range(k):
+                flat[d + k * i + j] = m[1 + j, i]
+        return flat
 
     return evaluate
 
@@ -75,53 +84,109 @@ def _make_evaluate_motion(sources: int) -> Any:
         rest_width: float,
     ) -> FloatArray:
         sources  # noqa: B018 (enclosed to be in the key of the cache; see `digest`)
-        d = len(center)
-        z = y.copy()
-        for i in range(d):
-            z[i] = (y[i] - center[i]) / unit_length
-        # Without sizes it is a mixture.
-        if len(sizes) == 0:
-            S, N = strands_jet(numbers, sigma, z)
-        else:
-            S, N = learned_strands_jet(sizes, numbers, sigma, z)
-        m = composed_jet(compositions[0], S, N)
-        if len(ends) > 0:
-            resting = composed_jet(compositions[1], S, N)
-            m = blended_jet(m, resting, ends, rest_width, z[:d].copy())
-        v = _direction_jet(N, compositions[0, SOFTENING])
-        return _flattened_motion(m, v, y, unit_length, sigma * unit_length)
+        m, v = motion_jet(
+            y,
+            np.eye(len(y)),
+            center,
+            unit_length,
+            sizes,
+            numbers,
+            sigma,
+            compositions,
+            ends,
+            rest_width,
+        )
+        return _flattened_motion(m, v, y, sigma * unit_length)
 
     return evaluate_motion
 
 
 @part
-def _flattened_motion(
-    m: FloatArray, v: FloatArray, y: FloatArray, unit_length: float, length: float
+def field_jet(
+    x: FloatArray,
+    directions: FloatArray,
+    center: FloatArray,
+    unit_length: float,
+    score_sizes: np.ndarray,
+    score_numbers: FloatArray,
+    tangent_sizes: np.ndarray,
+    tangent_numbers: FloatArray,
+    compositions: FloatArray,
+    ends: FloatArray,
+    rest_width: float,
 ) -> FloatArray:
-    """F = (m, (v - h) / length) and then its Jacobian by rows, in the unit of the waypoints."""
+    """Returns the jet of m, (1 + k, d), in the unit of the waypoints.
+
+    It is that at x (d,), along directions (k, d); the other arguments are those of `packing`.
+    """
+    z = np.empty(len(center))
+    for i in range(len(z)):
+        z[i] = (x[i] - center[i]) / unit_length
+    # Without sizes it is a mixture.
+    if len(score_sizes) == 0:
+        S = score_jet(score_numbers[1:], score_numbers[0], z, directions)
+    else:
+        S = network_jet(score_sizes, score_numbers, z, directions)
+    N = network_jet(tangent_sizes, tangent_numbers, z, directions)
+    m = composed_jet(compositions[0], S, N)
+    if len(ends) > 0:
+        resting = composed_jet(compositions[1], S, N)
+        m = blended_jet(m, resting, ends, rest_width, z, directions)
+    for k in range(1, len(m)):
+        for i in range(len(z)):
+            m[k, i] /= unit_length
+    return m
+
+
+@part
+def motion_jet(
+    y: FloatArray,
+    directions: FloatArray,
+    center: FloatArray,
+    unit_length: float,
+    sizes: np.ndarray,
+    numbers: FloatArray,
+    sigma: float,
+    compositions: FloatArray,
+    ends: FloatArray,
+    rest_width: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Returns the jets of m(x, h) and of the tangent of the strand, (1 + k, d) each.
+
+    They are those at y = (x, h) (2d,), along directions (k, 2d); the other arguments are those
+    of `packing`.
+    """
+    d = len(center)
+    z, along = y.copy(), directions.copy()
+    for i in range(d):
+        z[i] = (y[i] - center[i]) / unit_length
+        for k in range(len(along)):
+            along[k, i] = directions[k, i] / unit_length
+    # Without sizes it is a mixture.
+    if len(sizes) == 0:
+        S, N = strands_jet(numbers, sigma, z, along)
+    else:
+        S, N = learned_strands_jet(sizes, numbers, sigma, z, along)
+    m = composed_jet(compositions[0], S, N)
+    if len(ends) > 0:
+        resting = composed_jet(compositions[1], S, N)
+        m = blended_jet(m, resting, ends, rest_width, z[:d], along)
+    return m, _direction_jet(N, compositions[0, SOFTENING])
+
+
+@part
+def _flattened_motion(m: FloatArray, v: FloatArray, y: FloatArray, length: float) -> FloatArray:
+    """F = (m, (v - h) / length) and then its Jacobian by rows."""
     d = m.shape[1]
     flat = np.empty(2 * d + 4 * d * d)
     for i in range(d):
         flat[i] = m[0, i]
         flat[d + i] = (v[0, i] - y[d + i]) / length
         for j in range(2 * d):
-            scale = unit_length if j < d else 1.0
             by_m = 2 * d + 2 * d * i + j
-            flat[by_m] = m[1 + j, i] / scale
+            flat[by_m] = m[1 + j, i]
             by_h = 2 * d + 2 * d * (d + i) + j
-            flat[by_h] = (v[1 + j, i] / scale - (1.0 if j == d + i else 0.0)) / length
-    return flat
-
-
-@part
-def _flattened(m: FloatArray, unit_length: float) -> FloatArray:
-    """The value and then the Jacobian by rows, in the unit of the waypoints."""
-    d = m.shape[1]
-    flat = np.empty(d + d * d)
-    for i in range(d):
-        flat[i] = m[0, i]
-        for j in range(d):
-            flat[d + d * i + j] = m[1 + j, i] / unit_length
+            flat[by_h] = (v[1 + j, i] - (1.0 if j == d + i else 0.0)) / length
     return flat
 
 
@@ -131,7 +196,7 @@ def composed_jet(settings: FloatArray, S: FloatArray, N: FloatArray) -> FloatArr
 
     Args:
         settings: Those of the composition, as floats.
-        S: (1 + k, d), with the derivatives by k variables, of which the first d are z.
+        S: (1 + k, d), with the derivatives along k directions.
         N: (1 + k, d).
     """
     if settings[KIND] == ROBUST:
@@ -239,7 +304,12 @@ def _dot(a: FloatArray, i: int, b: FloatArray, j: int) -> float:
 
 @part
 def blended_jet(
-    m: FloatArray, resting: FloatArray, ends: FloatArray, width: float, z: FloatArray
+    m: FloatArray,
+    resting: FloatArray,
+    ends: FloatArray,
+    width: float,
+    z: FloatArray,
+    directions: FloatArray,
 ) -> FloatArray:
     """Returns the jet of m + w (resting - m), with w near 1 at the ends and 0 far away.
 
@@ -249,33 +319,39 @@ def blended_jet(
         ends: (E, d).
         width: Standard deviation of the region of rest.
         z: The point, (d,).
+        directions: (k, d), or more columns that do not move the point.
     """
     d = len(z)
-    away = _away_jet(ends, width, z)
+    away = _away_jet(ends, width, z, directions)
     blended = np.empty(m.shape)
     for j in range(len(m)):
         for i in range(d):
             blended[j, i] = m[j, i] + (1.0 - away[0]) * (resting[j, i] - m[j, i])
-            if 0 < j <= d:
+            if j > 0:
                 blended[j, i] -= away[j] * (resting[0, i] - m[0, i])
     return blended
 
 
 @part
-def _away_jet(ends: FloatArray, width: float, z: FloatArray) -> FloatArray:
-    """The jet of 1 - w = prod (1 - bump), (1 + d,), with a Gaussian bump around each end."""
+def _away_jet(
+    ends: FloatArray, width: float, z: FloatArray, directions: FloatArray
+) -> FloatArray:
+    """The jet of 1 - w = prod (1 - bump), (1 + k,), with a Gaussian bump around each end."""
     d = len(z)
     variance = width * width
-    jet = np.zeros(1 + d)
+    jet = np.zeros(1 + len(directions))
     jet[0] = 1.0
     for e in range(len(ends)):
         square = 0.0
         for j in range(d):
             square += (z[j] - ends[e, j]) ** 2
         bump = math.exp(-0.5 * square / variance)
-        for j in range(d):
-            slope = -bump * (z[j] - ends[e, j]) / variance
-            jet[1 + j] = jet[1 + j] * (1.0 - bump) - jet[0] * slope
+        for k in range(len(directions)):
+            along = 0.0
+            for j in range(d):
+                along += (z[j] - ends[e, j]) * directions[k, j]
+            slope = -bump * along / variance
+            jet[1 + k] = jet[1 + k] * (1.0 - bump) - jet[0] * slope
         jet[0] *= 1.0 - bump
     return jet
 
@@ -284,7 +360,7 @@ SOURCES = (activation, compiling, composition, networks, packing, strands)
 """Every other module whose functions or constants are compiled into these."""
 
 evaluate = _make_evaluate(digest(*SOURCES))
-"""Returns m and J by rows, flattened to (d + d^2,); the arguments are those of `packing`."""
+"""Returns m and its derivatives along k directions by rows, flattened to (d + d k,)."""
 
 evaluate_motion = _make_evaluate_motion(digest(*SOURCES))
 """Returns F of `MemoryField` and its Jacobian by rows, flattened to (2d + 4d^2,)."""

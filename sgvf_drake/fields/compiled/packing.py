@@ -120,7 +120,7 @@ def pack_network(network: Perceptron) -> PackedNetwork:
 def _pack_score(model: ScoreNetwork | GaussianMixture) -> PackedNetwork:
     """Returns a score; no sizes say that the numbers are variance and centres of a mixture."""
     if isinstance(model, GaussianMixture):
-        numbers = np.concatenate([[model.sigma**2], model.points.ravel()])
+        numbers = np.concatenate([[model.sigma**2], model.points.T.ravel()])
         return np.empty(0, dtype=np.int64), numbers
     network = model.network.with_last_input(DATA_END)
     weights = (*network.weights[:-1], network.weights[-1] / model.scale)

@@ -1,7 +1,7 @@
 """Score and tangent of directed strands at one place and heading, y = (z, g): their jets.
 
-A jet is an array (1 + 2d, d) whose row 0 holds values, and whose row 1 + j their derivatives
-by entry j of y.
+A jet is an array (1 + k, d) whose row 0 holds values, and whose row 1 + j their derivatives
+along the direction j of k, rows of an array (k, 2d).
 """
 
 import math
@@ -16,7 +16,7 @@ from sgvf_drake.fields.compiled.packing import TWO_WAY
 
 @part
 def strands_jet(
-    numbers: FloatArray, sigma: float, y: FloatArray
+    numbers: FloatArray, sigma: float, y: FloatArray, directions: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Returns the jets of S and N of a `StrandMixture`.
 
@@ -28,6 +28,7 @@ def strands_jet(
             travelled either way, flattened to (M (2d + 2),).
         sigma: The noise level.
         y: (2d,).
+        directions: (k, 2d).
     """
     d = len(y) // 2
     stride = 2 * d + 2
@@ -60,11 +61,13 @@ def strands_jet(
             pull[i] += weights[n] * shares[n] * row[d + i]
             slope[d + i] += weights[n] * row[2 * d] * shares[n] * row[d + i]
     variance = sigma * sigma
-    S, N = np.zeros((1 + 2 * d, d)), np.zeros((1 + 2 * d, d))
+    rows = 1 + len(directions)
+    S, N = np.zeros((rows, d)), np.zeros((rows, d))
     for i in range(d):
         S[0, i] = (place[i] - y[i]) / variance
         N[0, i] = pull[i]
-        S[1 + i, i] = -1.0 / variance
+        for k in range(1, rows):
+            S[k, i] = -directions[k - 1, i] / variance
         slope[i] = place[i] / variance
     for n in range(count):
         # Far components add nothing, and are most of them.
@@ -74,20 +77,24 @@ def strands_jet(
         bend = 0.0
         if row[2 * d + 1] == TWO_WAY:
             bend = row[2 * d] * (1.0 - shares[n] * shares[n])
-        for j in range(2 * d):
-            own = row[j] / variance if j < d else row[2 * d] * shares[n] * row[j]
-            change = weights[n] * (own - slope[j])
-            for i in range(d):
-                S[1 + j, i] += row[i] * change / variance
-                N[1 + j, i] += shares[n] * row[d + i] * change
+        for k in range(1, rows):
+            rise, turn = 0.0, 0.0
+            for j in range(2 * d):
+                own = row[j] / variance if j < d else row[2 * d] * shares[n] * row[j]
+                rise += (own - slope[j]) * directions[k - 1, j]
                 if j >= d:
-                    N[1 + j, i] += weights[n] * bend * row[d + i] * row[j]
+                    turn += row[j] * directions[k - 1, j]
+            change = weights[n] * rise
+            for i in range(d):
+                S[k, i] += row[i] * change / variance
+                N[k, i] += shares[n] * row[d + i] * change
+                N[k, i] += weights[n] * bend * row[d + i] * turn
     return S, N
 
 
 @part
 def learned_strands_jet(
-    sizes: np.ndarray, numbers: FloatArray, sigma: float, y: FloatArray
+    sizes: np.ndarray, numbers: FloatArray, sigma: float, y: FloatArray, directions: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Returns the jets of S and N of a `StrandNetwork`.
 
@@ -96,22 +103,25 @@ def learned_strands_jet(
         numbers: As those of `network_jet`.
         sigma: The noise level.
         y: (2d,).
+        directions: (k, 2d).
     """
     d = len(y) // 2
-    jet = network_jet(sizes[1:], numbers, y)
-    S, N = np.empty((1 + 2 * d, d)), np.empty((1 + 2 * d, d))
+    rows = 1 + len(directions)
+    jet = network_jet(sizes[1:], numbers, y, directions)
+    S, N = np.empty((rows, d)), np.empty((rows, d))
     if sizes[0] != TWO_WAY:
-        for k in range(1 + 2 * d):
+        for k in range(rows):
             for i in range(d):
                 S[k, i], N[k, i] = jet[k, i] / sigma, jet[k, d + i]
         return S, N
-    mirrored = y.copy()
+    mirrored, mirrored_directions = y.copy(), directions.copy()
     for i in range(d):
         mirrored[d + i] = -y[d + i]
-    other = network_jet(sizes[1:], numbers, mirrored)
-    for k in range(1 + 2 * d):
-        sign = -1.0 if k > d else 1.0
+        for k in range(len(directions)):
+            mirrored_directions[k, d + i] = -directions[k, d + i]
+    other = network_jet(sizes[1:], numbers, mirrored, mirrored_directions)
+    for k in range(rows):
         for i in range(d):
-            S[k, i] = 0.5 * (jet[k, i] + sign * other[k, i]) / sigma
-            N[k, i] = 0.5 * (jet[k, d + i] - sign * other[k, d + i])
+            S[k, i] = 0.5 * (jet[k, i] + other[k, i]) / sigma
+            N[k, i] = 0.5 * (jet[k, d + i] - other[k, d + i])
     return S, N

@@ -89,6 +89,27 @@ def test_every_combination(make_field, recipe, activation, composition, dim, end
     assert_same(field, queries(field, n=3, seed=seed), tolerance=1e-9)
 
 
+@pytest.mark.parametrize("recipe", RECIPES)
+@EACH_COMPOSITION
+def test_derivatives_along_directions_are_products_with_the_jacobian(
+    make_field, recipe, composition
+):
+    rng = np.random.default_rng(6)
+    for dim, ends in product((2, 3), (0, 2)):
+        field = replace(make_field(recipe, dim=dim, ends=ends), composition=composition)
+        compiled = field.compiled()
+        for x in queries(field, n=3):
+            flat = compiled.evaluate(x)
+            J = flat[dim:].reshape(dim, dim)
+            for count in (0, 1, 4):
+                directions = rng.standard_normal((count, dim))
+                along = compiled.evaluate(x, directions)
+                np.testing.assert_array_equal(along[:dim], flat[:dim])
+                products = along[dim:].reshape(dim, count)
+                atol = 1e-12 * max(1.0, np.abs(J).max())
+                np.testing.assert_allclose(products, J @ directions.T, rtol=0, atol=atol)
+
+
 def test_layers_of_every_width(make_field, make_perceptron):
     """Among them those that are no multiple of what is added at a time, and none at all."""
     rng = np.random.default_rng(2)
@@ -204,7 +225,7 @@ def test_threads_do_not_share_anything(field):
 
 CALLER = """\
 import callee
-from sgvf_drake.compiling import digest, kernel
+from sgvf_drake.compiling import announced, digest, kernel
 
 def make(sources):
     @kernel
@@ -213,8 +234,10 @@ def make(sources):
         return callee.part_of_it(x)
     return answer
 
-answer = make(digest(callee))
-print(answer(20.0), sum(answer.stats.cache_hits.values()))
+answer, told = make(digest(callee)), []
+with announced(lambda: told.append(True)):
+    result = answer(20.0)
+print(result, sum(answer.stats.cache_hits.values()), any(told))
 """
 CALLEE = """\
 from sgvf_drake.compiling import part
@@ -239,12 +262,13 @@ def output_of(arguments, folder, **environment):
 
 
 def test_the_cache_notices_a_change_in_what_the_kernel_calls(tmp_path):
+    """And what is taken from it is not announced as being compiled."""
     (tmp_path / "caller.py").write_text(CALLER)
     answers = []
     for number in (1, 1, 22):
         (tmp_path / "callee.py").write_text(CALLEE.format(number))
         answers.append(output_of(["-B", "caller.py"], tmp_path))
-    assert answers == [["21.0", "0"], ["21.0", "1"], ["42.0", "0"]]
+    assert answers == [["21.0", "0", "True"], ["21.0", "1", "False"], ["42.0", "0", "True"]]
 
 
 def test_where_nothing_can_be_written_it_is_compiled_all_the_same(tmp_path):
@@ -253,7 +277,8 @@ def test_where_nothing_can_be_written_it_is_compiled_all_the_same(tmp_path):
     (tmp_path / "caller.py").write_text(CALLER)
     (tmp_path / "callee.py").write_text(CALLEE.format(1))
     environment = {"HOME": str(nowhere), "XDG_CACHE_HOME": str(nowhere)}
-    assert output_of(["-B", "caller.py"], tmp_path, **environment) == ["21.0", "0"]
+    found = output_of(["-B", "caller.py"], tmp_path, **environment)
+    assert found == ["21.0", "0", "True"]
 
 
 def compiled_functions(function, found):
