@@ -172,8 +172,8 @@ class MotionCapture(Diagram):
         """
         if parameters.structure != self._parameters.structure:
             raise ConfigurationError(
-                "only the strength of a noise can be set anew: delay, rates and whether there is "
-                "noise at all are built in"
+                "only the strength of a noise can be set anew: delay, rates and whether there "
+                "is noise at all are built in"
             )
         for name in NOISES:
             deviation = getattr(parameters, name)
