@@ -6,7 +6,8 @@ is its row, to the last bit, wherever it is flown and whatever was flown before.
 
 from collections import Counter
 from concurrent.futures import Executor
-from dataclasses import asdict, dataclass, field, fields, replace
+import dataclasses
+from dataclasses import asdict, dataclass, fields, replace
 from functools import lru_cache
 import hashlib
 import json
@@ -128,7 +129,7 @@ class MonteCarlo:
     compensate: bool = False
     scale: float = 1.0
     certificate: str | None = None
-    distributions: Distributions = field(default_factory=Distributions)
+    distributions: Distributions = dataclasses.field(default_factory=Distributions)
 
     def plan(self, numbers: range) -> list["PlannedFlight"]:
         """Draws flights.
@@ -509,6 +510,7 @@ def _settings(experiment: MonteCarlo) -> dict[str, Any]:
 def replay_flight(
     out: str | PathLike[str],
     number: int,
+    field: str | PathLike[str] | None = None,
     *,
     overwrite: bool = False,
     progress: Progress = no_progress,
@@ -521,6 +523,7 @@ def replay_flight(
     Args:
         out: The folder of the results of `run_monte_carlo`.
         number: That of the flight, which may be one that the experiment did not fly.
+        field: Where the field is now; None: where it was.
         overwrite: Whether an earlier replay may be replaced.
         progress: Told how far the flight is.
 
@@ -535,9 +538,11 @@ def replay_flight(
     """
     out = Path(out)
     experiment, digest = _stored_experiment(out)
+    if field is not None:
+        experiment = replace(experiment, field=str(field))
     (flight,) = experiment.plan(range(number, number + 1))
     if flight.shared.digest != digest:
-        raise ExperimentError(f"{flight.shared.field} is not the field of {out} any more")
+        raise ExperimentError(f"{flight.shared.field} is not the field of {out}")
     names = (SUMMARY, *(f"flight.{suffix}" for suffix in ("parquet", "png", "html")))
     with result_folder(out / f"replay_{number}", names, overwrite=overwrite) as folder:
         row, log = fly_planned(flight)
@@ -547,9 +552,9 @@ def replay_flight(
             _show(flight, float(log["time"].iloc[-1]), folder, progress)
         stored = pd.read_parquet(out / TABLE)
         stored = stored[stored["number"] == number]
-        again = pd.DataFrame([{**flight.columns, **row}])
-        same = _same(stored, again) if len(stored) else None
-        summary = {**again.iloc[0].to_dict(), "same": same}
+        row = {**flight.columns, **row}
+        same = _same(stored, pd.DataFrame([row])) if len(stored) else None
+        summary = {**row, "same": same}
         write_summary(folder, summary)
     return summary
 
