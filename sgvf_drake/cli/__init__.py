@@ -1,4 +1,4 @@
-"""The command line: ``sgvf paths | train | follow | fly | montecarlo | verify | ... | reproduce``.
+"""The command line: ``sgvf paths | train | fly | montecarlo | verify | ... | run | reproduce``.
 
 Commands parse, call the experiments, and print a table; the work is elsewhere.  The heavy
 imports (Drake, torch, matplotlib) happen inside the commands, so that ``sgvf --help`` and
