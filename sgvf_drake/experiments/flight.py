@@ -365,7 +365,7 @@ def simulate(
         where, shown = "the tour", "tour"
     log_so_far = partial(_measured_log, built, context, craft, reference)
     with (
-        _lost_control_named(where, spec.speed, feasibility, log_so_far),
+        _lost_control_named(where, spec, feasibility, log_so_far),
         nullcontext() if scene is None else scene.show(simulator, page or shown),
     ):
         begin = time.perf_counter()
@@ -381,7 +381,9 @@ def simulate(
 def _measured_log(
     diagram: Diagram, context: Context, craft: Vehicle, reference: ReferencePath
 ) -> pd.DataFrame:
+    """Returns the log with the error, as far as the positions are finite."""
     log = flight_log(diagram, context, craft)
+    log = log[np.isfinite(positions_of(log, 3)).all(axis=1)].copy()
     log["cross_track_error"] = reference.project(positions_of(log, reference.dim)).distance
     return log
 
@@ -430,19 +432,23 @@ def _heading_system(heading: Literal["path"] | tuple[float, float]) -> Any:
 
 @contextmanager
 def _lost_control_named(
-    where: str, speed: float, feasibility: Feasibility, log: Callable[[], pd.DataFrame]
+    where: str, spec: FlightSpec, feasibility: Feasibility, log: Callable[[], pd.DataFrame]
 ) -> Iterator[None]:
     """Makes one clear error, with its log, of a flight that loses control of the vehicle."""
     try:
         yield
     except (RuntimeError, NonFiniteValueError) as error:
-        # How Drake's plant shows that it is out of control: a pitch of 90 degrees.
-        if feasibility.is_feasible and "gimbal-lock" not in str(error):
+        # How Drake's plant shows that it is out of control: a pitch of 90 degrees.  A disturbed
+        # one may also be thrown about until its numbers overflow.
+        disturbed = spec.disturbance is not None
+        overflowed = disturbed and isinstance(error, NonFiniteValueError)
+        if feasibility.is_feasible and not overflowed and "gimbal-lock" not in str(error):
             raise
         lost = LostControlError(
-            f"the quadrotor lost control on {where} at {speed:g} m/s, where "
+            f"the quadrotor lost control on {where} at {spec.speed:g} m/s, where "
             f"the path demands {feasibility.demand:.1f} m/s^2 and the thrust allows "
             f"{feasibility.limit:.1f} m/s^2; choose a lower speed"
+            + (" or a weaker disturbance" if disturbed else "")
         )
         lost.log = log()
         raise lost from error

@@ -28,7 +28,6 @@ from sgvf_drake.exceptions import (
     ConfigurationError,
     ExperimentError,
     LostControlError,
-    NonFiniteValueError,
 )
 from sgvf_drake.experiments.certified import CertifiedField, certificate_file
 from sgvf_drake.experiments.distributions import (
@@ -185,6 +184,11 @@ class _Shared:
     scale: float
     certificate: tuple[str, str] | None
 
+    @property
+    def certificate_file(self) -> str | None:
+        """The file of the certificate."""
+        return None if self.certificate is None else self.certificate[0]
+
 
 @dataclass(frozen=True)
 class PlannedFlight:
@@ -249,8 +253,9 @@ def _open_site(shared: _Shared, speed: float) -> _Site:
     metric = loaded.rescaled(shared.scale)
     reference = choose_reference(loaded)[0].rescaled(shared.scale)
     certified = None
-    if shared.certificate is not None:
-        certified = CertifiedField.open(loaded, shared.certificate[0], speed, shared.scale)
+    if shared.certificate_file is not None:
+        file = shared.certificate_file
+        certified = CertifiedField.open(loaded, file, speed, shared.scale)
     craft = FlightSpec(speed).craft
     return _Site(
         metric, reference, check_feasibility(metric, reference, speed, craft), certified
@@ -329,8 +334,6 @@ def fly_planned(flight: PlannedFlight) -> tuple[Row, pd.DataFrame | None]:
         row |= _judged(log, site, spec.speed)
     except LostControlError as error:
         log = error.log
-    except NonFiniteValueError:
-        pass
     if log is not None:
         last = log.iloc[-1]
         row |= {f"end_{name}": float(last[name]) for name in ("time", *POSITION_COLUMNS)}
@@ -437,7 +440,7 @@ def run_monte_carlo(
         "wall_s": wall_s,
         "flown": bench.measured,
         "flights_per_s": bench.measured / wall_s,
-        "experiment": _settings(experiment),
+        "experiment": _settings(experiment, planned[0].shared),
         "field_digest": planned[0].shared.digest,
         **origin(site.field),
     }
@@ -501,10 +504,12 @@ def _rms_interval(errors: pd.Series) -> tuple[float | None, float | None, float 
     return rms, float(np.sqrt(found.low)), float(np.sqrt(found.high))
 
 
-def _settings(experiment: MonteCarlo) -> dict[str, Any]:
+def _settings(experiment: MonteCarlo, shared: _Shared) -> dict[str, Any]:
     """Returns the experiment as plain values, but for the distributions."""
     names = [one.name for one in fields(experiment) if one.name != "distributions"]
-    return {name: getattr(experiment, name) for name in names}
+    found = {name: getattr(experiment, name) for name in names}
+    # Wherever somebody is who flies one again.
+    return {**found, "field": shared.field, "certificate": shared.certificate_file}
 
 
 def replay_flight(

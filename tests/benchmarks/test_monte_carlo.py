@@ -1,7 +1,7 @@
-"""Monte Carlo of flights of 20 s in wind: here, in two processes, on a Dask cluster of two workers.
+"""Monte Carlo of flights of 20 s in wind: here, in processes, on the workers of a Dask cluster.
 
-`SGVF_FLIGHTS=1000` flies so many; fewer where it is not set.  In the two kinds of workers one is
-killed in the middle.
+`SGVF_FLIGHTS=1000` flies so many; it is fewer where that is not set.  The processes and the
+cluster do it again while one of their workers is killed.
 """
 
 import os

@@ -2,8 +2,8 @@
 
 import pandas as pd
 import pytest
-import yaml
 
+from sgvf_drake.experiments import load_distributions
 from tests.helpers import names_in, summary_of
 
 
@@ -21,12 +21,12 @@ def flown(run, trained, tmp_path_factory):
 
 
 def test_options_stand_above_the_file(flown):
-    table, stored = pd.read_parquet(flown / "flights.parquet"), flown / "distributions.yaml"
+    table = pd.read_parquet(flown / "flights.parquet")
     assert (table["wind_x"] == 1.0).all()
     assert not table[["wind_y", "wind_z"]].to_numpy().any()
     assert (table["drag"] == 0.2).all()
     assert (table["gust"] == 0.2).all()
-    assert yaml.safe_load(stored.read_text().replace("!", ""))["start"]["beside"] == 0.3
+    assert load_distributions(flown / "distributions.yaml").start.beside == 0.3
     summary = summary_of(flown)
     assert summary["experiment"]["seed"] == 4
     assert summary["experiment"]["compensate"] is True
