@@ -57,7 +57,7 @@ def montecarlo(
         replay_flight,
         run_monte_carlo,
     )
-    from sgvf_drake.experiments.workers import workers
+    from sgvf_drake.experiments.workers import workers_of
 
     if replay is not None:
         # Drake tells on its own where every Meshcat listens.
@@ -83,7 +83,7 @@ def montecarlo(
         certificate=None if certificate is None else str(certificate),
         distributions=drawn,
     )
-    with progress() as report, workers(scheduler, jobs) as executor:
+    with progress() as report, workers_of(scheduler, jobs) as executor:
         summary = run_monte_carlo(
             experiment,
             out,

@@ -28,11 +28,11 @@ def reproduce(
     overwrite: Overwrite = False,
 ) -> None:
     """Run every experiment of the paper into one report; goes on where it was interrupted."""
-    from sgvf_drake.experiments.workers import workers
+    from sgvf_drake.experiments.workers import workers_of
     from sgvf_drake.paper import run_reproduce
     from sgvf_drake.paper.reproduce import REPORT, Status
 
-    with progress() as report, workers(scheduler, jobs) as executor:
+    with progress() as report, workers_of(scheduler, jobs) as executor:
         summary = run_reproduce(
             out,
             quick=quick,

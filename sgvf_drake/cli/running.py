@@ -39,12 +39,12 @@ def run(
     overwrite: Overwrite = False,
 ) -> None:
     """Run an experiment of the paper; trials that are finished in --out are kept."""
-    from sgvf_drake.experiments.workers import workers
+    from sgvf_drake.experiments.workers import workers_of
     from sgvf_drake.paper import load_scenario, run_scenario
 
     loaded = load_scenario(scenario, override or (), setting or ())
     options: dict[str, Any] = {"jobs": jobs, "overwrite": overwrite}
-    with progress() as report, workers(scheduler, jobs) as executor:
+    with progress() as report, workers_of(scheduler, jobs) as executor:
         summary = run_scenario(loaded, out, executor=executor, progress=report, **options)
     if summary["claims"]:
         columns = {

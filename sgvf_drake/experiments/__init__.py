@@ -48,7 +48,7 @@ from sgvf_drake.experiments.velocity_error import (
     flight_tracking,
 )
 from sgvf_drake.experiments.verify import run_verify
-from sgvf_drake.experiments.workers import workers
+from sgvf_drake.experiments.workers import workers_of
 
 __all__ = [
     "CertifiedField",
@@ -104,5 +104,5 @@ __all__ = [
     "tracking_figure",
     "tube_curves",
     "verification_figure",
-    "workers",
+    "workers_of",
 ]

@@ -412,7 +412,7 @@ def run_monte_carlo(
         out: The folder.
         flights: How many, at least 1.
         jobs: Processes that fly at the same time; 1: this one.
-        executor: Flies in place of processes of this machine; see `workers`.
+        executor: Flies in place of processes of this machine; see `workers_of`.
         overwrite: Whether results in `out` may be replaced.  Stored flights stay.
         progress: Told how many flights have ended.
 

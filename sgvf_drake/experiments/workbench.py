@@ -58,7 +58,7 @@ class Workbench:
         jobs: Processes that measure at the same time; 1: this one.  What dies with one of
             them is measured again in another.
         progress: Told how many trials of a stage have ended.
-        executor: Measures in place of processes of this machine, as `workers` does; wherever
+        executor: Measures in place of processes of this machine, as `workers_of` does; wherever
             that is, the folder `store` is the same.
         any_code: Whether records of other code count as well.
 

@@ -134,7 +134,7 @@ def _end_with_parent() -> None:
 
 
 @contextmanager
-def workers(scheduler: str | None, jobs: int = 1) -> Iterator[Executor | None]:
+def workers_of(scheduler: str | None, jobs: int = 1) -> Iterator[Executor | None]:
     """Gives the workers of a Dask cluster as an Executor; None without a scheduler.
 
     Dask does again what was under way on a worker that died.

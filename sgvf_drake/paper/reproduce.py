@@ -72,7 +72,7 @@ def run_reproduce(
         quick: Whether the small case of each scenario is run.
         only: Names of the scenarios to run; none: all of them.
         jobs: Processes that run trials at the same time.
-        executor: Runs them in place of processes of this machine; see `workers`.
+        executor: Runs them in place of processes of this machine; see `workers_of`.
         overwrite: Whether files in `out` may be replaced that a reproduction like this one
             has not left there.
         progress: Told how far each scenario is.

@@ -49,7 +49,7 @@ def run_scenario(
         out: The folder of the results.
         trials: The folder in which finished trials are kept; None: `trials` in `out`.
         jobs: Processes that run trials at the same time.
-        executor: Runs them in place of processes of this machine; see `workers`.
+        executor: Runs them in place of processes of this machine; see `workers_of`.
         overwrite: Whether any file in `out` that is in the way may be replaced.
         resume: Whether the files of an earlier result may be, those that its summary names.
         progress: Told how far the trials are.

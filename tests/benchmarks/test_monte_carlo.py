@@ -17,7 +17,7 @@ from sgvf_drake.experiments import (
     DisturbanceDistributions,
     MonteCarlo,
     run_monte_carlo,
-    workers,
+    workers_of,
 )
 from tests.data.make import field_file
 
@@ -96,7 +96,7 @@ def test_flights_in_wind_wherever_they_fly(save, tmp_path):
                 host="127.0.0.1",
                 dashboard_address=None,
             ) as cluster,
-            workers(cluster.scheduler_address) as executor,
+            workers_of(cluster.scheduler_address) as executor,
         ):
             run("dask", kills, executor=executor)
     for row in rows:

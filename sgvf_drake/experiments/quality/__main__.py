@@ -11,7 +11,7 @@ import typer
 from sgvf_drake.exceptions import SgvfError
 from sgvf_drake.experiments.quality.cases import Suite, suite_cases
 from sgvf_drake.experiments.quality.running import print_summary, run_suite
-from sgvf_drake.experiments.workers import workers
+from sgvf_drake.experiments.workers import workers_of
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -41,7 +41,7 @@ def _run(
         console.print(line, markup=False, highlight=False, soft_wrap=True)
 
     cases = suite_cases(suite, seeds, starts, circuits)
-    with workers(scheduler, jobs) as executor:
+    with workers_of(scheduler, jobs) as executor:
         table = run_suite(cases, out, report, jobs=jobs, executor=executor, any_code=any_code)
     print_summary(table, console)
     if table["error"].notna().any():

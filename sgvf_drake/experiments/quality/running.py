@@ -108,7 +108,7 @@ def run_suite(
         progress: Told of every case as it ends: its key with what it falls short in, how
             many have ended, and how many there are.
         jobs: Processes that run cases at the same time; 1: this one.
-        executor: Runs them in place of processes of this machine; see `workers`.
+        executor: Runs them in place of processes of this machine; see `workers_of`.
         any_code: Whether finished cases of other code count as well.
 
     Returns:

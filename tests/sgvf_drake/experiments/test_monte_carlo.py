@@ -28,7 +28,7 @@ from sgvf_drake.experiments import (
     replay_flight,
     run_monte_carlo,
     simulate,
-    workers,
+    workers_of,
 )
 from sgvf_drake.experiments.intervals import fraction_interval
 from systems import Disturbance
@@ -123,7 +123,7 @@ def test_rows_are_the_same_where_a_worker_is_killed(flown, experiment, tmp_path,
     else:
         with (
             LocalCluster(**options, dashboard_address=None) as cluster,
-            workers(cluster.scheduler_address) as executor,
+            workers_of(cluster.scheduler_address) as executor,
         ):
             run_monte_carlo(
                 experiment, tmp_path, flights=FLIGHTS, executor=executor, progress=kill_one

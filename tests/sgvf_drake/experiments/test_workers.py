@@ -11,7 +11,7 @@ import time
 import pytest
 
 from sgvf_drake.exceptions import ConfigurationError, ExperimentError
-from sgvf_drake.experiments.workers import in_executor, in_processes, workers
+from sgvf_drake.experiments.workers import in_executor, in_processes, workers_of
 
 # A module of its own, since processes import it.
 WORK = """
@@ -107,7 +107,7 @@ def cluster():
 
 @pytest.mark.full
 def test_dask_does_again_what_was_on_a_worker_that_was_killed(work, tmp_path, cluster):
-    with workers(cluster.scheduler_address) as executor:
+    with workers_of(cluster.scheduler_address) as executor:
         ends = in_executor(partial(slowly, str(tmp_path)), range(20), executor)
         first = next(ends)
         victim = next(iter(cluster.workers.values())).pid
@@ -124,14 +124,14 @@ def slowly(folder, item):
 
 
 def test_without_a_scheduler_there_is_no_executor():
-    with workers(None, jobs=4) as executor:
+    with workers_of(None, jobs=4) as executor:
         assert executor is None
 
 
 def test_a_scheduler_and_jobs_exclude_each_other():
     with (
         pytest.raises(ConfigurationError, match="either the jobs or the scheduler: tcp://a:1"),
-        workers("tcp://a:1", jobs=2),
+        workers_of("tcp://a:1", jobs=2),
     ):
         pass
 
@@ -140,7 +140,7 @@ def test_without_dask_it_is_told_how_to_install_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with (
         pytest.raises(ConfigurationError, match=r"pip install 'sgvf-drake\[dask\]'"),
-        workers("tcp://127.0.0.1:1"),
+        workers_of("tcp://127.0.0.1:1"),
     ):
         pass
 
@@ -149,7 +149,7 @@ def test_a_scheduler_that_is_not_there_is_named(monkeypatch):
     monkeypatch.setattr("sgvf_drake.experiments.workers.PATIENCE_S", 0.5)
     with (
         pytest.raises(ConfigurationError, match=r"no Dask scheduler at tcp://127\.0\.0\.1:1: "),
-        workers("tcp://127.0.0.1:1"),
+        workers_of("tcp://127.0.0.1:1"),
     ):
         pass
 
@@ -165,10 +165,10 @@ def test_a_cluster_that_cannot_do_the_work_is_refused(monkeypatch, options, mess
     from distributed import LocalCluster
 
     monkeypatch.setattr("sgvf_drake.experiments.workers.PATIENCE_S", 2.0)
-    options |= {"processes": False, "host": "127.0.0.1", "dashboard_address": None}
+    options |= {"processes": False, "protocol": "tcp://", "host": "127.0.0.1"}
     with (
-        LocalCluster(**options) as cluster,
+        LocalCluster(**options, dashboard_address=None) as cluster,
         pytest.raises(ConfigurationError, match=message),
-        workers(cluster.scheduler_address),
+        workers_of(cluster.scheduler_address),
     ):
         pass
