@@ -383,7 +383,7 @@ def _measured_log(
 ) -> pd.DataFrame:
     """Returns the log with the error, as far as the positions are finite."""
     log = flight_log(diagram, context, craft)
-    log = log.loc[np.isfinite(positions_of(log, 3)).all(axis=1), :].copy()
+    log = log.iloc[np.flatnonzero(np.isfinite(positions_of(log, 3)).all(axis=1))].copy()
     log["cross_track_error"] = reference.project(positions_of(log, reference.dim)).distance
     return log
 
