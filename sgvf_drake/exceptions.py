@@ -4,6 +4,8 @@ Catch `SgvfError` to catch all of them.  Each one is also the built-in error tha
 reader would expect, so ``except ValueError`` and ``except FileExistsError`` work too.
 """
 
+from typing import Any
+
 
 class SgvfError(Exception):
     """Base of every error that is raised on purpose by sgvf_drake and systems."""
@@ -19,6 +21,16 @@ class FieldFileError(SgvfError, ValueError):
 
 class ConfigurationError(SgvfError, ValueError):
     """An option, a shape name or a parameter has a value that cannot be used."""
+
+
+class LostControlError(ConfigurationError):
+    """A vehicle lost control in a flight: what it was asked for is more than it can do.
+
+    Attributes:
+        log: That of the flight until then, a table.
+    """
+
+    log: Any = None
 
 
 class OutputExistsError(SgvfError, FileExistsError):

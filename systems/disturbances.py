@@ -10,14 +10,16 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPo
 from pydrake.systems.primitives import (
     Adder,
     ConstantVectorSource,
-    FirstOrderLowPassFilter,
-    Gain,
-    LinearSystem,
-    Multiplexer,
+    Integrator,
+    MatrixGain,
+    PassThrough,
     RandomSource,
+    ZeroOrderHold,
 )
 
+from sgvf_drake.arrays import FloatArray
 from sgvf_drake.exceptions import ConfigurationError
+from systems.context_matrix import AddMatrix, Matrix, SetMatrix
 from systems.quadrotor import (
     NUM_PROPELLERS,
     POSITION,
@@ -36,6 +38,9 @@ MEAN_WIND = "mean_wind"
 
 GUST_PERIOD = 0.01
 """s; the gusts change so often, which is much faster than they fade."""
+
+DRIFT_SIZE = 6
+"""Position and velocity."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +82,11 @@ class Disturbance:
             elif field.name != "wind":
                 CheckPositiveParameter(field.name, getattr(self, field.name))
 
+    @property
+    def structure(self) -> "Disturbance":
+        """What is built in: whether there are gusts and a lag; all else lies in the Context."""
+        return Disturbance(gust=float(self.gust > 0.0), motor_lag=float(self.motor_lag > 0.0))
+
     def BodyOf(self, parameters: QuadrotorParameters) -> QuadrotorParameters:
         """Returns what flies where `parameters` are believed."""
         inertia: Any = tuple(self.inertia_factor * moment for moment in parameters.inertia)
@@ -100,51 +110,76 @@ class DisturbedQuadrotor(Diagram):
 
     QuadrotorPlant takes no force of the air, but its translation is linear in forces, and they
     do not turn it: so what drag adds to position and velocity is a linear system beside it, of
-    6 states, driven by the whole velocity past the air.  The gusts are an Ornstein-Uhlenbeck
-    process on each axis, of Drake's RandomSource; see `SetNoiseSeed`.
+    6 states, driven by the whole velocity past the air.  It is the plant of the believed body,
+    whose propellers give what moves it as theirs move the true one: that is linear as well.
+    The gusts are an Ornstein-Uhlenbeck process on each axis, of Drake's RandomSource; see
+    `SetNoiseSeed`.
+
+    The disturbance lies in the Context, see `SetDisturbance`; only whether there are gusts and
+    a lag of the motors at all is built in.
 
     Args:
         parameters: The vehicle as it is believed.
-        disturbance: What disturbs it.
+        disturbance: What disturbs it, in the default Context.
     """
 
     def __init__(self, parameters: QuadrotorParameters, disturbance: Disturbance) -> None:
         super().__init__()
-        self._body = disturbance.BodyOf(parameters)
-        self._disturbance = disturbance
+        self._body = parameters
+        self._structure = disturbance.structure
         builder = DiagramBuilder()
-        self._quadrotor = builder.AddNamedSystem("quadrotor", self._body.MakePlant())
-        self._AddPropellers(builder)
+        self._quadrotor = builder.AddNamedSystem("quadrotor", parameters.MakePlant())
+        self._AddPropellers(builder, disturbance)
         wind = AddWind(builder, disturbance)
-        self._drift = builder.AddNamedSystem(
-            "drift", _MakeDrift(disturbance.drag / self._body.mass)
-        )
-        state, seen = self._quadrotor.get_output_port(), Multiplexer([STATE_SIZE, 3])
-        builder.AddNamedSystem("state_and_wind", seen)
-        builder.Connect(state, seen.get_input_port(0))
-        builder.Connect(wind, seen.get_input_port(1))
-        builder.Connect(seen.get_output_port(), self._drift.get_input_port())
+        self._drift = builder.AddNamedSystem("drift", Integrator(DRIFT_SIZE))
+        state, drift = self._quadrotor.get_output_port(), self._drift.get_output_port()
+        rate = _DriftRate(disturbance, parameters)
+        change = AddMatrix(builder, "drift_rate", rate, state, wind, drift)
+        builder.Connect(change, self._drift.get_input_port())
+        added = builder.AddNamedSystem("added", MatrixGain(_ADDED))
+        builder.Connect(drift, added.get_input_port())
         whole = builder.AddNamedSystem("state", Adder(2, STATE_SIZE))
         builder.Connect(state, whole.get_input_port(0))
-        builder.Connect(self._drift.get_output_port(), whole.get_input_port(1))
+        builder.Connect(added.get_output_port(), whole.get_input_port(1))
         builder.ExportOutput(whole.get_output_port(), "state")
         builder.ExportOutput(wind, "wind")
         builder.BuildInto(self)
 
-    def _AddPropellers(self, builder: DiagramBuilder) -> None:
-        thrust = builder.AddNamedSystem(
-            "thrust", Gain(self._disturbance.thrust_factor, NUM_PROPELLERS)
-        )
-        builder.ExportInput(thrust.get_input_port(), "propeller_force")
-        force = thrust.get_output_port()
+    def _AddPropellers(self, builder: DiagramBuilder, disturbance: Disturbance) -> None:
+        command = builder.AddNamedSystem("propeller_force", PassThrough(NUM_PROPELLERS))
+        builder.ExportInput(command.get_input_port(), "propeller_force")
+        force = command.get_output_port()
         self._motors: Any = None
-        if self._disturbance.motor_lag > 0.0:
-            self._motors = builder.AddNamedSystem(
-                "motors", FirstOrderLowPassFilter(self._disturbance.motor_lag, NUM_PROPELLERS)
-            )
-            builder.Connect(force, self._motors.get_input_port())
-            force = self._motors.get_output_port()
+        if disturbance.motor_lag > 0.0:
+            self._motors = builder.AddNamedSystem("motors", Integrator(NUM_PROPELLERS))
+            lagging = self._motors.get_output_port()
+            change = AddMatrix(builder, "motor_rate", _MotorRate(disturbance), force, lagging)
+            builder.Connect(change, self._motors.get_input_port())
+            force = lagging
+        force = AddMatrix(builder, "thrust", _Thrust(disturbance, self._body), force)
         builder.Connect(force, self._quadrotor.get_input_port())
+
+    def SetDisturbance(self, root_context: Context, disturbance: Disturbance) -> None:
+        """Sets what disturbs the vehicle.
+
+        Args:
+            root_context: The Context of the whole diagram.
+            disturbance: With gusts and a lag of the motors where the built one has them.
+
+        Raises:
+            ConfigurationError: if it has others.
+        """
+        if disturbance.structure != self._structure:
+            raise ConfigurationError(
+                "gusts and the lag of the motors are built in: they can change, but neither "
+                "begin nor end"
+            )
+        context = self.GetMyMutableContextFromRoot(root_context)
+        SetWind(self, context, disturbance)
+        SetMatrix(self, context, "drift_rate", _DriftRate(disturbance, self._body))
+        SetMatrix(self, context, "thrust", _Thrust(disturbance, self._body))
+        if self._motors is not None:
+            SetMatrix(self, context, "motor_rate", _MotorRate(disturbance))
 
     def SetVehicleState(self, root_context: Context, state: Any) -> None:
         """Sets the state of the vehicle; its propellers carry its weight.
@@ -153,31 +188,58 @@ class DisturbedQuadrotor(Diagram):
             root_context: The Context of the whole diagram.
             state: The state (12,), as QuadrotorPlant's.
         """
-        values = [(self._quadrotor, state), (self._drift, np.zeros(6))]
+        values = [(self._quadrotor, state), (self._drift, np.zeros(DRIFT_SIZE))]
         if self._motors is not None:
-            hover = self._body.hover_force / self._body.force_constant
-            values.append((self._motors, np.full(NUM_PROPELLERS, hover)))
+            context = self.GetMyContextFromRoot(root_context)
+            hover = np.full(NUM_PROPELLERS, self._body.hover_force / self._body.force_constant)
+            values.append(
+                (self._motors, np.linalg.solve(Matrix(self, context, "thrust"), hover))
+            )
         for system, value in values:
             system.GetMyMutableContextFromRoot(root_context).SetContinuousState(value)
 
 
-def _MakeDrift(rate: float) -> LinearSystem:
-    """Returns what drag adds to position and velocity, as a state (12,).
+_ADDED: Any = np.zeros((STATE_SIZE, DRIFT_SIZE))
+"""What the drift, position and velocity, adds to the state."""
+_ADDED[POSITION, :3] = _ADDED[VELOCITY, 3:] = np.eye(3)
 
-    Its input is the state (12,) without it and the wind (3,); `rate` is drag over mass in 1/s.
+
+def _DriftRate(disturbance: Disturbance, believed: QuadrotorParameters) -> FloatArray:
+    """Returns how the drift changes, (6, 21), with the undisturbed state, the wind and itself.
+
+    The air pulls with drag times its velocity past the vehicle, which moves with both.
     """
-    eye, zero = np.eye(3), np.zeros((3, 3))
-    A: Any = np.block([[zero, eye], [zero, -rate * eye]])
-    B, C = np.zeros((6, STATE_SIZE + 3)), np.zeros((STATE_SIZE, 6))
-    B[3:, VELOCITY], B[3:, STATE_SIZE:] = -rate * eye, rate * eye
-    C[POSITION, :3], C[VELOCITY, 3:] = eye, eye
-    D: Any = np.zeros((STATE_SIZE, STATE_SIZE + 3))
-    matrices: Any = (A, B, C, D)
-    return LinearSystem(*matrices)
+    rate = disturbance.drag / disturbance.BodyOf(believed).mass * np.eye(3)
+    matrix = np.zeros((DRIFT_SIZE, STATE_SIZE + 3 + DRIFT_SIZE))
+    matrix[:3, -3:] = np.eye(3)
+    matrix[3:, VELOCITY] = matrix[3:, -3:] = -rate
+    matrix[3:, STATE_SIZE : STATE_SIZE + 3] = rate
+    return matrix
+
+
+def _Thrust(disturbance: Disturbance, believed: QuadrotorParameters) -> FloatArray:
+    """Returns the forces, (4, 4), that move the believed body as those of the motors the true.
+
+    A body of another mass moves as this one by a thrust that is smaller by the same factor;
+    so it is with the moments of inertia, all of one factor, and the torques.
+    """
+    mixing = believed.MixingMatrix()
+    inertia = np.full(3, disturbance.inertia_factor)
+    factors = disturbance.thrust_factor / np.concatenate(([disturbance.mass_factor], inertia))
+    return np.asarray(np.linalg.solve(mixing, factors[:, None] * mixing))
+
+
+def _MotorRate(disturbance: Disturbance) -> FloatArray:
+    """Returns how forces that lag change, (4, 8), with the commanded ones and themselves."""
+    rate = np.eye(NUM_PROPELLERS) / disturbance.motor_lag
+    return np.hstack((rate, -rate))
 
 
 def AddWind(builder: DiagramBuilder, disturbance: Disturbance) -> OutputPort:
-    """Adds the mean wind and the gusts; returns the velocity of the air (3,)."""
+    """Adds the mean wind and the gusts; returns the velocity of the air (3,).
+
+    See `SetWind` for another Context than the default one.
+    """
     mean_wind: Any = np.array(disturbance.wind)
     mean = builder.AddNamedSystem(MEAN_WIND, ConstantVectorSource(mean_wind))
     if disturbance.gust == 0.0:
@@ -185,13 +247,34 @@ def AddWind(builder: DiagramBuilder, disturbance: Disturbance) -> OutputPort:
     noise = builder.AddNamedSystem(
         "gust_random", RandomSource(RandomDistribution.kGaussian, 3, GUST_PERIOD)
     )
-    kept, eye = math.exp(-GUST_PERIOD / disturbance.gust_time), np.eye(3)
-    # Of this variance, whatever the period.
-    driven = disturbance.gust * math.sqrt(1.0 - kept * kept)
-    matrices: Any = (kept * eye, driven * eye, eye, np.zeros((3, 3)), GUST_PERIOD)
-    gusts = builder.AddNamedSystem("gusts", LinearSystem(*matrices))
+    gusts = builder.AddNamedSystem("gusts", ZeroOrderHold(GUST_PERIOD, 3))
+    ports = noise.get_output_port(), gusts.get_output_port()
+    after = AddMatrix(builder, "next_gusts", _NextGusts(disturbance), *ports)
+    builder.Connect(after, gusts.get_input_port())
     wind = builder.AddNamedSystem("wind", Adder(2, 3))
-    builder.Connect(noise.get_output_port(), gusts.get_input_port())
     builder.Connect(mean.get_output_port(), wind.get_input_port(0))
     builder.Connect(gusts.get_output_port(), wind.get_input_port(1))
     return wind.get_output_port()
+
+
+def SetWind(diagram: Diagram, context: Context, disturbance: Disturbance) -> None:
+    """Sets the mean wind, and the gusts if there are any.
+
+    Args:
+        diagram: The one that was built by `AddWind`.
+        context: This diagram's own.
+        disturbance: With gusts where the built one has them.
+    """
+    mean: Any = diagram.GetSubsystemByName("mean_wind")
+    own = diagram.GetMutableSubsystemContext(mean, context)
+    mean.get_mutable_source_value(own).SetFromVector(np.array(disturbance.wind))
+    if disturbance.gust > 0.0:
+        SetMatrix(diagram, context, "next_gusts", _NextGusts(disturbance))
+
+
+def _NextGusts(disturbance: Disturbance) -> FloatArray:
+    """Returns what gusts become, (3, 6), of noise and of those before."""
+    kept = math.exp(-GUST_PERIOD / disturbance.gust_time)
+    # Of this variance, whatever the period.
+    driven = disturbance.gust * math.sqrt(1.0 - kept * kept)
+    return np.hstack((driven * np.eye(3), kept * np.eye(3)))

@@ -1,7 +1,7 @@
 """How the vehicle's state is measured: ideally, or with noise, delay and losses."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 import math
 from typing import Any
 
@@ -18,7 +18,6 @@ from pydrake.systems.primitives import (
     Adder,
     Demultiplexer,
     DiscreteTimeDelay,
-    Gain,
     MatrixGain,
     PassThrough,
     RandomSource,
@@ -27,6 +26,7 @@ from pydrake.systems.primitives import (
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 from sgvf_drake.exceptions import ConfigurationError
+from systems.context_matrix import AddMatrix, SetMatrix
 from systems.quadrotor import ATTITUDE, POSITION, RATES, STATE_SIZE, VELOCITY
 from systems.scalars import SCALARS, ConstructCopy, ToFloat, idle, remembered
 from systems.state_estimator import DEFAULT_BANDWIDTH, StateEstimator
@@ -37,6 +37,9 @@ DEFAULT_SAMPLE_PERIOD = 0.01
 
 TIME_TOLERANCE = 1e-6
 """Of a period; a time that is so close to that of a sample differs from it by rounding."""
+
+NOISES = ("position_noise", "attitude_noise", "rate_noise")
+"""The fields of `SensorParameters` that lie in the Context."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +83,11 @@ class SensorParameters:
             )
 
     @property
+    def structure(self) -> "SensorParameters":
+        """What is built in: all but how strong the noise is, which lies in the Context."""
+        return replace(self, **{name: float(getattr(self, name) > 0.0) for name in NOISES})
+
+    @property
     def delay_steps(self) -> int:
         """The delay in sample periods."""
         return round(self.delay / self.sample_period)
@@ -112,7 +120,8 @@ class MotionCapture(Diagram):
     `measurement_age` (1) is the age of what was last measured in s.  None is a direct
     feed-through.
 
-    The noise is Drake's `RandomSource`; see `SetNoiseSeed`.
+    The noise is Drake's `RandomSource`; see `SetNoiseSeed`.  How strong it is lies in the
+    Context; see `SetNoise`.
 
     Args:
         parameters: Noise, delay and rates.
@@ -131,10 +140,11 @@ class MotionCapture(Diagram):
         estimate = [self._estimator.GetOutputPort(name) for name in ("position", "velocity")]
         held = []
         for name, port, noise, entries in (
-            ("attitude", attitude, parameters.attitude_noise, ATTITUDE),
-            ("rates", rates, parameters.rate_noise, RATES),
+            ("attitude", attitude, "attitude_noise", ATTITUDE),
+            ("rates", rates, "rate_noise", RATES),
         ):
-            noisy = _AddNoise(builder, port, name, noise, parameters.onboard_period)
+            deviation = getattr(parameters, noise)
+            noisy = _AddNoise(builder, port, noise, deviation, parameters.onboard_period)
             hold = builder.AddNamedSystem(name, ZeroOrderHold(parameters.onboard_period, 3))
             builder.Connect(noisy, hold.get_input_port())
             self._holds.append((hold, entries))
@@ -157,6 +167,26 @@ class MotionCapture(Diagram):
     def parameters(self) -> SensorParameters:
         """Noise, delay and rates."""
         return self._parameters
+
+    def SetNoise(self, context: Context, parameters: SensorParameters) -> None:
+        """Sets how strong the noise is.
+
+        Args:
+            context: This system's own.
+            parameters: With noise where the built ones have it; all else is the same.
+
+        Raises:
+            ConfigurationError: if anything else differs.
+        """
+        if parameters.structure != self._parameters.structure:
+            raise ConfigurationError(
+                "only the strength of a noise can be set anew: delay, rates and whether there "
+                "is noise at all are built in"
+            )
+        for name in NOISES:
+            deviation = getattr(parameters, name)
+            if deviation > 0.0:
+                SetMatrix(self, context, name, deviation * np.eye(3))
 
     def SetVectorState(self, context: Context, state: Any) -> None:
         """Makes the estimate the true state, as after a long look at a vehicle going straight.
@@ -187,7 +217,9 @@ class MotionCapture(Diagram):
         # The estimator samples by itself, and sees what a discrete system held before the
         # sample: a hold delays by one period, and a delay of n steps by n + 1.
         self._delay: Any = None
-        noisy = _AddNoise(builder, position, "position", p.position_noise, p.sample_period)
+        noisy = _AddNoise(
+            builder, position, "position_noise", p.position_noise, p.sample_period
+        )
         if p.delay_steps > 0:
             self._delay = builder.AddNamedSystem(
                 "delay", DiscreteTimeDelay(p.sample_period, p.delay_steps - 1, 3)
@@ -397,11 +429,11 @@ def _AddNoise(
     if deviation == 0.0:
         return port
     source = builder.AddNamedSystem(
-        f"{name}_random", RandomSource(RandomDistribution.kGaussian, port.size(), period)
+        f"{name}_source", RandomSource(RandomDistribution.kGaussian, port.size(), period)
     )
-    gain = builder.AddNamedSystem(f"{name}_noise", Gain(deviation, port.size()))
-    adder = builder.AddNamedSystem(f"{name}_noisy", Adder(2, port.size()))
-    builder.Connect(source.get_output_port(), gain.get_input_port())
+    matrix = deviation * np.eye(port.size())
+    noise = AddMatrix(builder, name, matrix, source.get_output_port())
+    adder = builder.AddNamedSystem(f"{name}_added", Adder(2, port.size()))
     builder.Connect(port, adder.get_input_port(0))
-    builder.Connect(gain.get_output_port(), adder.get_input_port(1))
+    builder.Connect(noise, adder.get_input_port(1))
     return adder.get_output_port()

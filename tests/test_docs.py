@@ -214,7 +214,7 @@ def test_commands_parse():
 def test_scenarios_in_the_docs_are_scenarios(tmp_path):
     from sgvf_drake.paper import load_scenario, scenario_names
 
-    (text,) = blocks("yaml")
+    (text,) = (block for block in blocks("yaml") if "scenario:" in block)
     file = tmp_path / "scenario.yaml"
     file.write_text(text, encoding="utf-8")
     overrides = [name for name in yaml.load(text, yaml.BaseLoader) if name != "scenario"]
@@ -225,6 +225,19 @@ def test_scenarios_in_the_docs_are_scenarios(tmp_path):
             assert run[2] in scenario_names()
             settings = [value for flag, value in pairwise(run) if flag == "--set"]
             load_scenario(run[2], settings=settings)
+
+
+def test_distributions_in_the_docs_are_read(tmp_path):
+    from sgvf_drake.experiments import Distributions, load_distributions
+
+    (text,) = (block for block in blocks("yaml") if "scenario:" not in block)
+    file = tmp_path / "distributions.yaml"
+    file.write_text(text, encoding="utf-8")
+    assert load_distributions(file).draw(0, 0) != Distributions().draw(0, 0)
+    written = (DOCS / "montecarlo.md").read_text(encoding="utf-8")
+    for name, _ in load_distributions(file).values():
+        key = name.partition(".")[2].removesuffix("_x").removesuffix("_y").removesuffix("_z")
+        assert re.search(rf"`(\w+\.)?{key}`", written), name
 
 
 @pytest.fixture

@@ -31,6 +31,20 @@ from sgvf_drake.exceptions import ConfigurationError
 # Relative resolution of the numbers in a browser's scene, and what a quadrotor needs, in m.
 SINGLE_PRECISION, SHARP = 2.0**-23, 0.01
 
+Wind = Annotated[
+    str | None, typer.Option(help="Mean wind, m/s, as 2,0 or 2,0,0.5; it drags the vehicle.")
+]
+Gust = Annotated[
+    float, typer.Option(help="Standard deviation of gusts on each axis, m/s.", min=0)
+]
+Compensate = Annotated[
+    bool,
+    typer.Option(
+        "--compensate",
+        help="Let the controller estimate what disturbs it, and make up for it.",
+    ),
+]
+
 
 @app.command()
 def follow(
@@ -149,20 +163,9 @@ def fly(
     sensors: Annotated[
         bool, typer.Option("--sensors", help="Measure with noise and delay, at 100 Hz.")
     ] = False,
-    wind: Annotated[
-        str | None,
-        typer.Option(help="Mean wind, m/s, as 2,0 or 2,0,0.5; it drags the vehicle."),
-    ] = None,
-    gust: Annotated[
-        float, typer.Option(help="Standard deviation of gusts on each axis, m/s.", min=0)
-    ] = 0.0,
-    compensate: Annotated[
-        bool,
-        typer.Option(
-            "--compensate",
-            help="Let the controller estimate what disturbs it, and make up for it.",
-        ),
-    ] = False,
+    wind: Wind = None,
+    gust: Gust = 0.0,
+    compensate: Compensate = False,
     seed: Annotated[
         int, typer.Option(help="Seed of the noise of --sensors and of --gust.", min=0)
     ] = 0,
@@ -313,13 +316,18 @@ def _disturbance_of(wind: str | None, gust: float) -> Any:
 
     if wind is None and gust == 0:
         return None
+    return Disturbance(wind=wind_of(wind or "0,0"), gust=gust)
+
+
+def wind_of(wind: str) -> tuple[float, float, float]:
+    """Reads --wind."""
     try:
-        air = [float(speed) for speed in (wind or "0,0").split(",")]
+        air = [float(speed) for speed in wind.split(",")]
     except ValueError:
         air = []
     if len(air) not in (2, 3):
         raise ConfigurationError(f"--wind {wind} is no velocity, as 2,0 or 2,0,0.5 is")
-    return Disturbance(wind=(air[0], air[1], air[2] if len(air) == 3 else 0.0), gust=gust)
+    return air[0], air[1], air[2] if len(air) == 3 else 0.0
 
 
 def _heading_of(heading: str | None, scale: float) -> tuple[float, Any]:

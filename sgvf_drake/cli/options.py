@@ -11,6 +11,13 @@ from sgvf_drake.exceptions import ConfigurationError
 Out = Annotated[Path, typer.Option(help="Folder of the results.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace results in --out.")]
 Jobs = Annotated[int, typer.Option(help="Processes that run trials at the same time.")]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Of a Dask scheduler, whose workers run the trials in place of processes here.",
+    ),
+]
 FieldPath = Annotated[
     Path, typer.Argument(metavar="FIELD", help="A field file, or the folder of its training.")
 ]

@@ -8,7 +8,7 @@ from rich.text import Text
 import typer
 
 from sgvf_drake.cli.application import FAILED, app, console, errors, progress
-from sgvf_drake.cli.options import Jobs, Out, Overwrite
+from sgvf_drake.cli.options import Jobs, Out, Overwrite, Scheduler
 from sgvf_drake.cli.running import STYLES
 from sgvf_drake.cli.tables import print_columns
 
@@ -24,18 +24,21 @@ def reproduce(
         typer.Option(metavar="NAME", help="A scenario to run, in place of all; repeatable."),
     ] = None,
     jobs: Jobs = 1,
+    scheduler: Scheduler = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Run every experiment of the paper into one report; goes on where it was interrupted."""
+    from sgvf_drake.experiments.workers import workers_of
     from sgvf_drake.paper import run_reproduce
     from sgvf_drake.paper.reproduce import REPORT, Status
 
-    with progress() as report:
+    with progress() as report, workers_of(scheduler, jobs) as executor:
         summary = run_reproduce(
             out,
             quick=quick,
             only=only or (),
             jobs=jobs,
+            executor=executor,
             overwrite=overwrite,
             progress=report,
         )

@@ -7,7 +7,7 @@ from rich.text import Text
 import typer
 
 from sgvf_drake.cli.application import app, progress
-from sgvf_drake.cli.options import Jobs, Out, Overwrite
+from sgvf_drake.cli.options import Jobs, Out, Overwrite, Scheduler
 from sgvf_drake.cli.tables import print_columns, print_folder
 
 STYLES = {"holds": "green", "holds in part": "yellow", "does not hold": "red"}
@@ -35,14 +35,17 @@ def run(
         ),
     ] = None,
     jobs: Jobs = 1,
+    scheduler: Scheduler = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Run an experiment of the paper; trials that are finished in --out are kept."""
+    from sgvf_drake.experiments.workers import workers_of
     from sgvf_drake.paper import load_scenario, run_scenario
 
     loaded = load_scenario(scenario, override or (), setting or ())
-    with progress() as report:
-        summary = run_scenario(loaded, out, jobs=jobs, overwrite=overwrite, progress=report)
+    options: dict[str, Any] = {"jobs": jobs, "overwrite": overwrite}
+    with progress() as report, workers_of(scheduler, jobs) as executor:
+        summary = run_scenario(loaded, out, executor=executor, progress=report, **options)
     if summary["claims"]:
         columns = {
             "verdict": _verdict,

@@ -7,6 +7,14 @@ it is, and replaces results there only where `overwrite` says so.  Its `referenc
 
 from sgvf_drake.experiments.certified import CertifiedField, as_flown
 from sgvf_drake.experiments.certify import run_certify
+from sgvf_drake.experiments.distributions import (
+    Distributions,
+    DisturbanceDistributions,
+    SensorDistributions,
+    StartDistributions,
+    load_distributions,
+)
+from sgvf_drake.experiments.figures.monte_carlo import monte_carlo_figure
 from sgvf_drake.experiments.figures.network import network_figure
 from sgvf_drake.experiments.figures.runs import tour_figure
 from sgvf_drake.experiments.figures.singularities import log_density_figure, singularity_figure
@@ -16,6 +24,7 @@ from sgvf_drake.experiments.flight import FlightSpec, check_feasibility, flight_
 from sgvf_drake.experiments.fly import FlightResult, fly
 from sgvf_drake.experiments.follow import FollowResult, follow, follow_network
 from sgvf_drake.experiments.importing import run_import
+from sgvf_drake.experiments.monte_carlo import MonteCarlo, replay_flight, run_monte_carlo
 from sgvf_drake.experiments.reference import choose_reference
 from sgvf_drake.experiments.route import RouteResult, covering_routes, fly_route, to_point
 from sgvf_drake.experiments.runs import (
@@ -39,15 +48,21 @@ from sgvf_drake.experiments.velocity_error import (
     flight_tracking,
 )
 from sgvf_drake.experiments.verify import run_verify
+from sgvf_drake.experiments.workers import workers_of
 
 __all__ = [
     "CertifiedField",
+    "Distributions",
+    "DisturbanceDistributions",
     "FlightMargin",
     "FlightResult",
     "FlightScene",
     "FlightSpec",
     "FollowResult",
+    "MonteCarlo",
     "RouteResult",
+    "SensorDistributions",
+    "StartDistributions",
     "TourResult",
     "View",
     "as_flown",
@@ -63,15 +78,19 @@ __all__ = [
     "fly_tour",
     "follow",
     "follow_network",
+    "load_distributions",
     "log_density_figure",
+    "monte_carlo_figure",
     "network_figure",
     "open_field",
     "open_guiding_field",
+    "replay_flight",
     "run_certify",
     "run_demo",
     "run_fly",
     "run_follow",
     "run_import",
+    "run_monte_carlo",
     "run_routes",
     "run_singularities",
     "run_tour",
@@ -85,4 +104,5 @@ __all__ = [
     "tracking_figure",
     "tube_curves",
     "verification_figure",
+    "workers_of",
 ]

@@ -14,7 +14,7 @@ from pydrake.systems.framework import Context, Diagram
 
 from sgvf_drake.arrays import FloatArray
 from sgvf_drake.compiling import announced
-from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
+from sgvf_drake.exceptions import ConfigurationError, LostControlError, NonFiniteValueError
 from sgvf_drake.experiments.scene import FlightScene
 from sgvf_drake.experiments.simulation import advance, read_log
 from sgvf_drake.fields import DirectedField, GuidingField
@@ -309,6 +309,7 @@ def simulate(
     lyapunov: LyapunovFunction | None = None,
     level: float = np.inf,
     scene: FlightScene | None = None,
+    diagram: Diagram | None = None,
     progress: Progress = no_progress,
 ) -> SimulatedFlight:
     """Flies from a start beside a piece of a path until the duration of a spec has passed.
@@ -328,11 +329,13 @@ def simulate(
         lyapunov: V, in metres, which is logged; None: there is none.
         level: The flight ends when the vehicle leaves {V <= level}, once it has been inside.
         scene: Shows the flight, and records it in a page; None: nothing does.
+        diagram: That of other flights by `flight_diagram`, of the same structure; None: it is
+            built for this one.
         progress: Is told how far the simulation is.
 
     Raises:
-        ConfigurationError: If the field is neither planar nor spatial, or if the vehicle lost
-            control.
+        ConfigurationError: If the field is neither planar nor spatial.
+        LostControlError: If the vehicle lost control.
         NonFiniteValueError: If a value in the loop became NaN or infinite.
     """
     craft = spec.craft
@@ -346,38 +349,35 @@ def simulate(
     assert spec.start is not None
     assert spec.duration is not None
     assert feasibility is not None
-    diagram = MakeFlightDiagram(
+    built = diagram or flight_diagram(
         field,
-        craft,
-        speed=spec.speed,
-        altitude=spec.altitude,
-        log_period=LOG_PERIOD,
-        sensors=spec.sensors,
-        disturbance=spec.disturbance,
+        spec,
         supervisor=supervisor,
-        heading=None if spec.heading is None else _heading_system(spec.heading),
         lyapunov=lyapunov,
         level=level,
         meshcat=None if scene is None else scene.meshcat,
     )
-    simulator = MakeSimulator(diagram)
+    simulator = MakeSimulator(built)
     context = simulator.get_mutable_context()
+    if diagram is not None:
+        _set_parameters(built, context, spec)
     start = craft.StartState(np.array(spec.start), field, spec.disturbance)
-    SetVehicleState(diagram, context, start)
-    loop: Any = diagram.GetSubsystemByName("guidance_loop")
+    SetVehicleState(built, context, start)
+    loop: Any = built.GetSubsystemByName("guidance_loop")
     if is_over is None and not craft.can_rest and not reference.closed[piece]:
         is_over = partial(_is_past_end, loop, craft.velocity, spec.speed)
     if heading is not None:
         guidance = loop.guidance
         guidance.SetHeading(guidance.GetMyMutableContextFromRoot(context), heading)
-    SetNoiseSeed(diagram, context, spec.seed)
+    SetNoiseSeed(built, context, spec.seed)
     watch = None if lyapunov is None else StopOnExit(simulator)
     live: dict[str, Any] = {}
     over, where, shown = False, f"piece {piece + 1}", f"flight_{piece + 1}"
     if supervisor is not None:
         where, shown = "the tour", "tour"
+    log_so_far = partial(_measured_log, built, context, craft, reference)
     with (
-        _lost_control_named(where, spec.speed, feasibility),
+        _lost_control_named(where, spec, feasibility, log_so_far),
         nullcontext()
         if scene is None
         else scene.show(
@@ -395,10 +395,9 @@ def simulate(
         else:
             over = _advance_until(simulator, is_over, rest, spec.duration, progress)
         wall_s = time.perf_counter() - begin
-    log = flight_log(diagram, context, craft)
+    log = log_so_far()
     if controls is not None:
         log = _live_log(log, controls, lost=live["lost_control"] is not None)
-    log["cross_track_error"] = reference.project(positions_of(log, field.dim)).distance
     left = None if watch is None else watch.exit
     return SimulatedFlight(log, wall_s, over, left, feasibility, live or None)
 
@@ -417,24 +416,80 @@ def _compile(loop: Any, context: Context, progress: Progress) -> None:
         progress(COMPILING, 1.0, 1.0)
 
 
+def _measured_log(
+    diagram: Diagram, context: Context, craft: Vehicle, reference: ReferencePath
+) -> pd.DataFrame:
+    """Returns the log with the error, as far as the positions are finite."""
+    log = flight_log(diagram, context, craft)
+    log = log.iloc[np.flatnonzero(np.isfinite(positions_of(log, 3)).all(axis=1))].copy()
+    log["cross_track_error"] = reference.project(positions_of(log, reference.dim)).distance
+    return log
+
+
+def flight_diagram(
+    field: GuidingField | DirectedField, spec: FlightSpec, **options: Any
+) -> Diagram:
+    """Returns the diagram of a flight, and of all others of the same structure.
+
+    Drake has memory to give back for each diagram that was built from Python, and does not.
+    So many flights share one: they may differ in all that `Disturbance.structure` and
+    `SensorParameters.structure` have in common, and in seed, start and duration.
+
+    Args:
+        field: The field, in metres; planar or spatial.
+        spec: The flight.
+        **options: Further ones of `systems.MakeFlightDiagram`.
+    """
+    return MakeFlightDiagram(
+        field,
+        spec.craft,
+        speed=spec.speed,
+        altitude=spec.altitude,
+        log_period=LOG_PERIOD,
+        sensors=spec.sensors,
+        disturbance=spec.disturbance,
+        heading=None if spec.heading is None else _heading_system(spec.heading),
+        **options,
+    )
+
+
+def _set_parameters(diagram: Diagram, context: Context, spec: FlightSpec) -> None:
+    """Sets what one flight has of its own in the Context of a diagram that many share."""
+    plant: Any = diagram.GetSubsystemByName("plant")
+    loop: Any = diagram.GetSubsystemByName("guidance_loop")
+    if spec.disturbance is not None:
+        plant.SetDisturbance(context, spec.disturbance)
+    if spec.sensors is not None:
+        capture = loop.motion_capture
+        capture.SetNoise(capture.GetMyMutableContextFromRoot(context), spec.sensors)
+
+
 def _heading_system(heading: Literal["path"] | tuple[float, float]) -> Any:
     return HeadingSystem(None if heading == "path" else heading)
 
 
 @contextmanager
-def _lost_control_named(where: str, speed: float, feasibility: Feasibility) -> Iterator[None]:
-    """Makes one clear error of a flight inside that loses control of the vehicle."""
+def _lost_control_named(
+    where: str, spec: FlightSpec, feasibility: Feasibility, log: Callable[[], pd.DataFrame]
+) -> Iterator[None]:
+    """Makes one clear error, with its log, of a flight that loses control of the vehicle."""
     try:
         yield
     except (RuntimeError, NonFiniteValueError) as error:
-        # How Drake's plant shows that it is out of control: a pitch of 90 degrees.
-        if feasibility.is_feasible and "gimbal-lock" not in str(error):
+        # How Drake's plant shows that it is out of control: a pitch of 90 degrees.  A disturbed
+        # one may also be thrown about until its numbers overflow.
+        disturbed = spec.disturbance is not None
+        overflowed = disturbed and isinstance(error, NonFiniteValueError)
+        if feasibility.is_feasible and not overflowed and "gimbal-lock" not in str(error):
             raise
-        raise ConfigurationError(
-            f"the quadrotor lost control on {where} at {speed:g} m/s, where "
+        lost = LostControlError(
+            f"the quadrotor lost control on {where} at {spec.speed:g} m/s, where "
             f"the path demands {feasibility.demand:.1f} m/s^2 and the thrust allows "
             f"{feasibility.limit:.1f} m/s^2; choose a lower speed"
-        ) from error
+            + (" or a weaker disturbance" if disturbed else "")
+        )
+        lost.log = log()
+        raise lost from error
 
 
 def _top_speed(speed: float, feasibility: Feasibility) -> float:

@@ -11,7 +11,7 @@ import shutil
 import sqlite3
 from typing import Any
 
-from sgvf_drake.exceptions import ExperimentError
+from sgvf_drake.exceptions import ConfigurationError, ExperimentError
 from sgvf_drake.experiments.results import plain
 
 ROWS = "rows.sqlite"
@@ -81,6 +81,19 @@ class TrialStore:
     def __init__(self, folder: Path, any_code: bool = False) -> None:
         self.folder = folder
         self.any_code = any_code
+
+    def make_folder(self) -> None:
+        """Makes the folder, if it is not there.
+
+        Raises:
+            ConfigurationError: If it cannot be made.
+        """
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigurationError(
+                f"cannot write to {self.folder}: {error.strerror}"
+            ) from None
 
     def find(self, key: Key) -> Record | None:
         """Returns a trial that is stored with its files, else None.

@@ -1,13 +1,11 @@
 """Where the trials of experiments run: in parallel, each stored as it ends, none twice."""
 
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
-import multiprocessing
-import os
 from pathlib import Path
-import threading
+import socket
 import time
 from typing import Any
 
@@ -15,10 +13,17 @@ from sgvf_drake.exceptions import ConfigurationError, ExperimentError
 from sgvf_drake.experiments.measured_code import code_digest
 from sgvf_drake.experiments.results import hidden_folder, remove_abandoned
 from sgvf_drake.experiments.store import Key, Record, Row, TrialStore, make_key
+from sgvf_drake.experiments.workers import (
+    Outcome,
+    in_executor,
+    in_processes,
+    in_this_process,
+)
 from sgvf_drake.progress import Progress, no_progress
 
 # What the hidden folders are called in which trials run.
 HIDDEN = "trial"
+SAME_FOLDER = "all workers need the folder of the results under the same name"
 
 Measure = Callable[[Any, Path], Row]
 
@@ -32,7 +37,7 @@ class Ended:
     Attributes:
         trial: What it was.
         record: What came of it; None if it failed.
-        error: Why it failed, or its process died; None if it did not.
+        error: Why it failed; None if it did not.
     """
 
     trial: Any
@@ -50,10 +55,11 @@ class Workbench:
 
     Args:
         store: The folder of the records; made when the first trial ends.
-        jobs: Processes that measure at the same time; 1: this one.
+        jobs: Processes that measure at the same time; 1: this one.  What dies with one of
+            them is measured again in another.
         progress: Told how many trials of a stage have ended.
-        executor: Measures in place of processes of this machine; where it does so in others,
-            they see the same `store`.
+        executor: Measures in place of processes of this machine, as `workers_of` does; wherever
+            that is, the folder `store` is the same.
         any_code: Whether records of other code count as well.
 
     Raises:
@@ -71,12 +77,15 @@ class Workbench:
     ) -> None:
         if jobs < 1:
             raise ConfigurationError(f"the number of jobs must be at least 1, not {jobs}")
-        self.store = TrialStore(store, any_code)
+        # Workers may be at home in another folder.
+        self.store = TrialStore(store.absolute(), any_code)
         self.jobs = jobs
         self.progress = progress
         self.executor = executor
         self.trial_s = 0.0
         """Time of all trials asked for so far, those that were stored included."""
+        self.measured = 0
+        """How many have ended so far, those that were stored before excluded."""
 
     def run(self, measure: Measure, trials: Sequence[Any], stage: str) -> list[Record]:
         """Returns the records of trials, in their order; runs those that are not stored.
@@ -120,73 +129,57 @@ class Workbench:
                 todo[key] = trial
             else:
                 yield Ended(trial, record, None)
-        for trial, error in self._work(measure, list(todo.values())):
+        for (trial, _), error in self._work(measure, list(todo.values())):
             record = None if error else self.store.find(_key(measure, trial))
+            if record is None and error is None:
+                error = ExperimentError(
+                    f"it left nothing in {self.store.folder}: {SAME_FOLDER}"
+                )
+            self.measured += 1
             yield Ended(trial, record, error)
 
-    def _work(
-        self, measure: Measure, trials: Sequence[Any]
-    ) -> Iterator[tuple[Any, BaseException | None]]:
-        """Measures trials and gives each when it ends, in their order with one job."""
+    def _work(self, measure: Measure, trials: Sequence[Any]) -> Iterator[Outcome]:
+        """Measures trials and gives each when it ends, in their order with one job.
+
+        Each of them is given with the digest of its code, as it is now.
+        """
+        if not trials:
+            return iter(())
+        self.store.make_folder()
         work = partial(_measure, measure, self.store)
-        if self.executor is None and (self.jobs == 1 or len(trials) < 2):
-            for trial in trials:
-                yield trial, _error_of(work, trial, _code(measure, trial))
-            return
-        executor = self.executor or _processes(self.jobs)
-        try:
-            futures = {
-                executor.submit(work, trial, _code(measure, trial)): trial for trial in trials
-            }
-            for future in as_completed(futures):
-                yield futures[future], future.exception()
-        finally:
-            # One that was given is for others to end.
-            if self.executor is None:
-                executor.shutdown(cancel_futures=True)
+        items = [(trial, _code(measure, trial)) for trial in trials]
+        if self.executor is not None:
+            return in_executor(work, items, self.executor)
+        if self.jobs == 1 or len(items) == 1:
+            return in_this_process(work, items)
+        return in_processes(work, items, self.jobs)
 
 
-def _measure(measure: Measure, store: TrialStore, trial: Any, code: str) -> None:
+def _measure(measure: Measure, store: TrialStore, item: tuple[Any, str]) -> None:
     """Stores the row and the files of a trial, whole or not at all.
 
+    Args:
+        measure: What measures it.
+        store: Where it is stored.
+        item: The trial, and the digest of the code of the run.
+
     Raises:
-        ExperimentError: If the code in this process is not that of the run.
+        ExperimentError: If the code in this process is not that of the run, or if it sees
+            another folder.
     """
+    trial, code = item
     # Before the work: code that is edited meanwhile has no part in it.
     if _code(measure, trial) != code:
         raise ExperimentError("the code was changed while the trials ran; run them again")
+    if not store.folder.is_dir():
+        raise ExperimentError(
+            f"the worker on {socket.gethostname()} sees no {store.folder}: {SAME_FOLDER}"
+        )
     with hidden_folder(store.folder, HIDDEN) as folder:
         begin = time.perf_counter()
         row = measure(trial, folder)
         elapsed_s = time.perf_counter() - begin
         store.put(make_key(measure, trial, code), row, folder, elapsed_s)
-
-
-def _error_of(work: Callable[..., None], *arguments: Any) -> Exception | None:
-    try:
-        work(*arguments)
-    # Whatever one does wrong, the others are to run.
-    except Exception as error:
-        return error
-    return None
-
-
-def _processes(jobs: int) -> Executor:
-    # Spawned: a fork would copy the threads and locks of torch and Drake.
-    spawn = multiprocessing.get_context("spawn")
-    return ProcessPoolExecutor(jobs, mp_context=spawn, initializer=_end_with_parent)
-
-
-def _end_with_parent() -> None:
-    """Has this process end with the one that started it, also where that one is killed."""
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-
-    def wait() -> None:
-        parent.join()
-        os._exit(1)
-
-    threading.Thread(target=wait, daemon=True).start()
 
 
 def _key(measure: Measure, trial: Any) -> Key:

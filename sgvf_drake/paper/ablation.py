@@ -14,6 +14,13 @@ import numpy as np
 import pandas as pd
 
 from sgvf_drake.experiments.follow import follow
+from sgvf_drake.experiments.intervals import (
+    POSITIVE,
+    SHARE,
+    interval,
+    interval_columns,
+    over_seeds,
+)
 from sgvf_drake.experiments.quality.measures import following, measure_score
 from sgvf_drake.experiments.workbench import Row, Workbench
 from sgvf_drake.fields import GuidingField, ScoreNetwork
@@ -36,7 +43,6 @@ from sgvf_drake.paper.along_path import (
 )
 from sgvf_drake.paper.claims import Count, Rows
 from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
-from sgvf_drake.paper.intervals import POSITIVE, SHARE, interval, interval_columns, over_seeds
 from sgvf_drake.paper.training import trained
 from sgvf_drake.paths import ReferencePath, make_shape
 

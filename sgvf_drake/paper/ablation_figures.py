@@ -15,10 +15,10 @@ import pandas as pd
 
 from sgvf_drake import plotting
 from sgvf_drake.arrays import FloatArray, plane_grid
+from sgvf_drake.experiments.intervals import POSITIVE, interval
 from sgvf_drake.fields import Field, GuidingField, TangentField, load_guiding_field
 from sgvf_drake.paper.along_path import directions, sample_path
 from sgvf_drake.paper.experiment import FOLDER
-from sgvf_drake.paper.intervals import POSITIVE, interval
 from sgvf_drake.paths import ReferencePath, shape_path
 
 # In the file of a run: (n, 2) the last positions of its agents, (n,) whether each lapped.

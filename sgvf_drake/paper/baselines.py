@@ -27,13 +27,13 @@ import pandas as pd
 from sgvf_drake import plotting
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments.follow import FollowResult, PathField, follow, follow_network
+from sgvf_drake.experiments.intervals import SHARE, interval, interval_columns, over_seeds
 from sgvf_drake.experiments.workbench import Row, Workbench
 from sgvf_drake.fields import DirectedField, Field, ParametricField
 from sgvf_drake.learning.recipes import RECIPES
 from sgvf_drake.metrics import default_duration
 from sgvf_drake.paper.claims import Claim, Count, Figures, Rows, Verdict, every
 from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, check_names, run_trials
-from sgvf_drake.paper.intervals import SHARE, interval, interval_columns, over_seeds
 from sgvf_drake.paper.methods import CASES, DIRECTED, LEARNED, METHODS, make_case
 from sgvf_drake.paper.ways import (
     Ways,

@@ -14,7 +14,7 @@ from typing import Any
 
 import pandas as pd
 
-from sgvf_drake.paper.intervals import SHARE, interval
+from sgvf_drake.experiments.intervals import SHARE, interval
 
 Rows = Mapping[str, pd.DataFrame]
 """What the trials of an experiment found: a table a kind of trial, one row a trial."""

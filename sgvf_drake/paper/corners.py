@@ -19,6 +19,7 @@ from sgvf_drake.arrays import FloatArray, plane_grid
 from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments.follow import follow
+from sgvf_drake.experiments.intervals import SHARE, interval, interval_columns, over_seeds
 from sgvf_drake.experiments.workbench import Row, Workbench
 from sgvf_drake.fields import GuidingField, ScoreNetwork, load_guiding_field
 from sgvf_drake.lyapunov import find_guiding_zeros
@@ -35,7 +36,6 @@ from sgvf_drake.paper.claims import (
     every,
 )
 from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
-from sgvf_drake.paper.intervals import SHARE, interval, interval_columns, over_seeds
 from sgvf_drake.paper.training import trained
 from sgvf_drake.paper.traps import along_sides, examine, paused, polygon
 

@@ -11,13 +11,13 @@ import pandas as pd
 from sgvf_drake.exceptions import ConfigurationError, SgvfError
 from sgvf_drake.experiments.figures.runs import tour_figure
 from sgvf_drake.experiments.flight import FORCE_COLUMNS, TAKE_OFF_S
+from sgvf_drake.experiments.intervals import interval_columns, over_seeds
 from sgvf_drake.experiments.tour import TourResult, fly_tour
 from sgvf_drake.experiments.workbench import Row, Workbench
 from sgvf_drake.fields import load_guiding_field
 from sgvf_drake.metrics import REACH_DISTANCE
 from sgvf_drake.paper.claims import Claim, Count, Figures, Rows, Span, claims_of_recipes
 from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
-from sgvf_drake.paper.intervals import interval_columns, over_seeds
 from sgvf_drake.paper.training import trained
 from sgvf_drake.paths import make_shape, shape_path
 from systems import Feasibility, FieldForSpeed, QuadrotorParameters, SensorParameters

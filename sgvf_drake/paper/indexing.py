@@ -13,6 +13,7 @@ import pandas as pd
 
 from sgvf_drake import plotting
 from sgvf_drake.clouds import PointCloud
+from sgvf_drake.experiments.intervals import SHARE, interval_columns, over_seeds
 from sgvf_drake.experiments.workbench import Row, Workbench
 from sgvf_drake.fields import (
     FloatArray,
@@ -32,7 +33,6 @@ from sgvf_drake.paper.baselines import (
 )
 from sgvf_drake.paper.claims import Claim, Count, Figures, Rows, Share, Span, Verdict, every
 from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
-from sgvf_drake.paper.intervals import SHARE, interval_columns, over_seeds
 from sgvf_drake.paper.methods import CASES, make_case
 from sgvf_drake.paper.training import trained
 from sgvf_drake.paper.ways import coverage

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
+from sgvf_drake.experiments.intervals import POSITIVE, SHARE
 from sgvf_drake.paper.ablation import (
     ANY,
     COMPLETE,
@@ -24,7 +25,6 @@ from sgvf_drake.paper.ablation import (
 )
 from sgvf_drake.paper.ablation_figures import MeasurePanel
 from sgvf_drake.paper.claims import Claim, Count, Figures, Rows, every
-from sgvf_drake.paper.intervals import POSITIVE, SHARE
 
 PANELS = (
     MeasurePanel("lengths.v_box_max", "longest $v$ in the box", log=True),

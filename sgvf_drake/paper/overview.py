@@ -11,6 +11,13 @@ import pandas as pd
 
 from sgvf_drake import plotting
 from sgvf_drake.experiments.follow import FollowResult, follow
+from sgvf_drake.experiments.intervals import (
+    SHARE,
+    fraction_columns,
+    fraction_interval,
+    interval_columns,
+    over_seeds,
+)
 from sgvf_drake.experiments.quality.measures import following, measure_score
 from sgvf_drake.experiments.workbench import Row, Workbench
 from sgvf_drake.fields import ScoreField, TangentField, load_guiding_field
@@ -27,13 +34,6 @@ from sgvf_drake.paper.claims import (
     claims_of_recipes,
 )
 from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
-from sgvf_drake.paper.intervals import (
-    SHARE,
-    fraction_columns,
-    fraction_interval,
-    interval_columns,
-    over_seeds,
-)
 from sgvf_drake.paper.training import trained
 from sgvf_drake.paths import ReferencePath, make_shape
 

@@ -13,6 +13,7 @@ from functools import partial
 
 import pandas as pd
 
+from sgvf_drake.experiments.intervals import POSITIVE, SHARE
 from sgvf_drake.paper.ablation import (
     FIELDS,
     FOLLOWED,
@@ -25,7 +26,6 @@ from sgvf_drake.paper.ablation import (
 from sgvf_drake.paper.ablation_figures import MeasurePanel
 from sgvf_drake.paper.claims import Claim, Count, Figures, Rows, Verdict
 from sgvf_drake.paper.experiment import check_names
-from sgvf_drake.paper.intervals import POSITIVE, SHARE
 
 COSINE = (-1.0, 1.0)
 PANELS = (

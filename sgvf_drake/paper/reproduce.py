@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from enum import StrEnum
 import hashlib
 import json
@@ -55,6 +56,7 @@ def run_reproduce(
     quick: bool = False,
     only: Sequence[str] = (),
     jobs: int = 1,
+    executor: Executor | None = None,
     overwrite: bool = False,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
@@ -70,6 +72,7 @@ def run_reproduce(
         quick: Whether the small case of each scenario is run.
         only: Names of the scenarios to run; none: all of them.
         jobs: Processes that run trials at the same time.
+        executor: Runs them in place of processes of this machine; see `workers_of`.
         overwrite: Whether files in `out` may be replaced that a reproduction like this one
             has not left there.
         progress: Told how far each scenario is.
@@ -98,7 +101,7 @@ def run_reproduce(
         if entries[name]["digest"] is None:
             check_results(out / name, (SUMMARY, SCENARIO_FILE), overwrite=overwrite)
     summary = _save(out, entries, quick, begin)
-    options = {"jobs": jobs, "overwrite": overwrite}
+    options = {"jobs": jobs, "executor": executor, "overwrite": overwrite}
     for name in chosen:
         entries[name] = _run(
             out / name, scenarios[name], entries[name], progress, trials=out / TRIALS, **options

@@ -1,6 +1,7 @@
 """Runs a scenario into a folder: tables, logs, figures, and what they come from."""
 
 from collections.abc import Mapping
+from concurrent.futures import Executor
 import json
 from os import PathLike
 from pathlib import Path
@@ -33,6 +34,7 @@ def run_scenario(
     *,
     trials: Path | None = None,
     jobs: int = 1,
+    executor: Executor | None = None,
     overwrite: bool = False,
     resume: bool = False,
     progress: Progress = no_progress,
@@ -47,6 +49,7 @@ def run_scenario(
         out: The folder of the results.
         trials: The folder in which finished trials are kept; None: `trials` in `out`.
         jobs: Processes that run trials at the same time.
+        executor: Runs them in place of processes of this machine; see `workers_of`.
         overwrite: Whether any file in `out` that is in the way may be replaced.
         resume: Whether the files of an earlier result may be, those that its summary names.
         progress: Told how far the trials are.
@@ -67,7 +70,8 @@ def run_scenario(
     begin = time.perf_counter()
     # Before the work: code that is edited meanwhile has no part in it.
     origin = _origin(scenario)
-    bench = Workbench(out / TRIALS if trials is None else trials, jobs, progress)
+    store = out / TRIALS if trials is None else trials
+    bench = Workbench(store, jobs, progress, executor=executor)
     experiment = scenario.experiment
     rows = experiment.measure(bench)
     exhibits = [*experiment.figures(rows), *experiment.tables(rows)]

@@ -18,11 +18,11 @@ from scipy import stats
 from sgvf_drake import plotting
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments.clouds import make_cloud
+from sgvf_drake.experiments.intervals import interval_columns, over_seeds
 from sgvf_drake.experiments.workbench import Row, Workbench
 from sgvf_drake.fields import FloatArray, GaussianMixture, ScoreNetwork
 from sgvf_drake.paper.claims import Claim, Figures, Rows, Share, Span, Verdict
 from sgvf_drake.paper.experiment import Exhibit, Experiment, run_trials
-from sgvf_drake.paper.intervals import interval_columns, over_seeds
 from sgvf_drake.paper.moments import CHUNK, SQUASHED, collect, make_probes
 from sgvf_drake.paper.training import trained
 

@@ -21,13 +21,13 @@ from sgvf_drake.experiments.figures.singularities import (
     plot_density_surface,
     plot_zeros,
 )
+from sgvf_drake.experiments.intervals import interval_columns, over_seeds
 from sgvf_drake.experiments.singularities import singularity_summary, zero_rows
 from sgvf_drake.experiments.workbench import Row, Workbench
 from sgvf_drake.fields import GuidingField, ScoreField, load_guiding_field
 from sgvf_drake.lyapunov import NEAR_PATH, Singularities, find_singularities, measure_vanishing
 from sgvf_drake.paper.claims import Claim, Count, Figures, Rows, Verdict, every
 from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
-from sgvf_drake.paper.intervals import interval_columns, over_seeds
 from sgvf_drake.paper.parametric import ParametricTrial, measure_parametric, plot_helices
 from sgvf_drake.paper.training import trained
 from sgvf_drake.paths import ReferencePath, make_shape

@@ -11,6 +11,7 @@ import typer
 from sgvf_drake.exceptions import SgvfError
 from sgvf_drake.experiments.quality.cases import Suite, suite_cases
 from sgvf_drake.experiments.quality.running import print_summary, run_suite
+from sgvf_drake.experiments.workers import workers_of
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -22,6 +23,9 @@ def _run(
     seeds: Annotated[int | None, typer.Option(help="Number of seeds, from 0.")] = None,
     starts: Annotated[int | None, typer.Option(help="Number of starts of each case.")] = None,
     jobs: Annotated[int, typer.Option(help="Processes that run cases.")] = 1,
+    scheduler: Annotated[
+        str | None, typer.Option(help="Address of a Dask scheduler whose workers run them.")
+    ] = None,
     circuits: Annotated[
         Path | None, typer.Option(help="Folder of ordered paths, .csv, to add as cases.")
     ] = None,
@@ -37,7 +41,8 @@ def _run(
         console.print(line, markup=False, highlight=False, soft_wrap=True)
 
     cases = suite_cases(suite, seeds, starts, circuits)
-    table = run_suite(cases, out, report, jobs=jobs, any_code=any_code)
+    with workers_of(scheduler, jobs) as executor:
+        table = run_suite(cases, out, report, jobs=jobs, executor=executor, any_code=any_code)
     print_summary(table, console)
     if table["error"].notna().any():
         raise typer.Exit(1)

@@ -1,6 +1,7 @@
 """Running: every case once, its row and figure stored, and the table of all of them."""
 
 from collections.abc import Iterable, Mapping
+from concurrent.futures import Executor
 from dataclasses import asdict
 from pathlib import Path
 import time
@@ -94,6 +95,7 @@ def run_suite(
     progress: Progress = no_progress,
     *,
     jobs: int = 1,
+    executor: Executor | None = None,
     any_code: bool = False,
 ) -> pd.DataFrame:
     """Runs the cases that are not finished, and saves `table.csv` and `table.parquet`.
@@ -106,6 +108,7 @@ def run_suite(
         progress: Told of every case as it ends: its key with what it falls short in, how
             many have ended, and how many there are.
         jobs: Processes that run cases at the same time; 1: this one.
+        executor: Runs them in place of processes of this machine; see `workers_of`.
         any_code: Whether finished cases of other code count as well.
 
     Returns:
@@ -119,7 +122,7 @@ def run_suite(
     twice = sorted({key for key in keys if keys.count(key) > 1})
     if twice:
         raise ConfigurationError(f"several cases have the key {twice[0]}")
-    bench = Workbench(folder / TRIALS, jobs, any_code=any_code)
+    bench = Workbench(folder / TRIALS, jobs, executor=executor, any_code=any_code)
     rows = []
     for ended in bench.each(measure_case, cases):
         rows.append(_row(ended))

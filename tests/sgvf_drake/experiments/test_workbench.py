@@ -216,7 +216,7 @@ def test_an_interruption_leaves_what_has_ended_and_nothing_half_written(module):
 def test_code_that_changes_while_trials_run_is_not_what_measured_them(module):
     with pytest.raises(ExperimentError, match="the code was changed while the trials ran"):
         workbench._measure(
-            module.measure, store.TrialStore(module.store), *module.trials(2), "other code"
+            module.measure, store.TrialStore(module.store), (*module.trials(2), "other code")
         )
     assert module.measured() == []
 

@@ -13,8 +13,8 @@ import pandas as pd
 from PIL import Image
 import pytest
 
+from sgvf_drake.experiments.intervals import interval_columns
 from sgvf_drake.paper import run_reproduce, scenario_names
-from sgvf_drake.paper.intervals import interval_columns
 from sgvf_drake.paper.report import build_page
 from sgvf_drake.paper.report.pictures import embed
 from sgvf_drake.paper.report.tables import (

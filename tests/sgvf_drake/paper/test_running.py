@@ -169,3 +169,22 @@ def test_a_result_that_is_damaged_or_misses_a_file_is_none(load, tmp_path):
         (tmp_path / "summary.json").write_text(text)
         assert stored_summary(tmp_path) is None, text
     assert stored_summary(tmp_path / "nowhere") is None
+
+
+@pytest.mark.full
+def test_a_sweep_of_the_paper_has_the_same_rows_on_a_cluster(tmp_path):
+    from distributed import LocalCluster
+
+    from sgvf_drake.experiments import workers_of
+
+    stein = load_scenario("section2_stein", ["quick"])
+    run_scenario(stein, tmp_path / "processes", jobs=2)
+    options = {"n_workers": 2, "threads_per_worker": 1, "host": "127.0.0.1"}
+    with (
+        LocalCluster(**options, dashboard_address=None) as cluster,
+        workers_of(cluster.scheduler_address) as executor,
+    ):
+        run_scenario(stein, tmp_path / "dask", executor=executor)
+    rows = [(tmp_path / name / "rows.json").read_text() for name in ("processes", "dask")]
+    assert rows[0] == rows[1]
+    assert len(rows[0]) > 1000

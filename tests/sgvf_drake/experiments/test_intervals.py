@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from sgvf_drake.paper.intervals import (
+from sgvf_drake.experiments.intervals import (
     CONFIDENCE,
     SHARE,
     fraction_columns,
