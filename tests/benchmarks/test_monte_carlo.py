@@ -94,7 +94,7 @@ def test_flights_in_wind_wherever_they_fly(save, tmp_path):
                 n_workers=WORKERS,
                 threads_per_worker=1,
                 host="127.0.0.1",
-                dashboard_address=None,
+                dashboard_address=":0",
             ) as cluster,
             workers_of(cluster.scheduler_address) as executor,
         ):

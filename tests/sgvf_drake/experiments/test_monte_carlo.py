@@ -122,7 +122,7 @@ def test_rows_are_the_same_where_a_worker_is_killed(flown, experiment, tmp_path,
         run_monte_carlo(experiment, tmp_path, flights=FLIGHTS, jobs=2, progress=kill_one)
     else:
         with (
-            LocalCluster(**options, dashboard_address=None) as cluster,
+            LocalCluster(**options, dashboard_address=":0") as cluster,
             workers_of(cluster.scheduler_address) as executor,
         ):
             run_monte_carlo(

@@ -101,7 +101,7 @@ def cluster():
     from distributed import LocalCluster
 
     options = {"n_workers": 2, "threads_per_worker": 1, "host": "127.0.0.1"}
-    with LocalCluster(**options, dashboard_address=None) as cluster:
+    with LocalCluster(**options, dashboard_address=":0") as cluster:
         yield cluster
 
 
@@ -167,7 +167,7 @@ def test_a_cluster_that_cannot_do_the_work_is_refused(monkeypatch, options, mess
     monkeypatch.setattr("sgvf_drake.experiments.workers.PATIENCE_S", 2.0)
     options |= {"processes": False, "protocol": "tcp://", "host": "127.0.0.1"}
     with (
-        LocalCluster(**options, dashboard_address=None) as cluster,
+        LocalCluster(**options, dashboard_address=":0") as cluster,
         pytest.raises(ConfigurationError, match=message),
         workers_of(cluster.scheduler_address),
     ):

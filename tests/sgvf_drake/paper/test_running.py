@@ -181,7 +181,7 @@ def test_a_sweep_of_the_paper_has_the_same_rows_on_a_cluster(tmp_path):
     run_scenario(stein, tmp_path / "processes", jobs=2)
     options = {"n_workers": 2, "threads_per_worker": 1, "host": "127.0.0.1"}
     with (
-        LocalCluster(**options, dashboard_address=None) as cluster,
+        LocalCluster(**options, dashboard_address=":0") as cluster,
         workers_of(cluster.scheduler_address) as executor,
     ):
         run_scenario(stein, tmp_path / "dask", executor=executor)
