@@ -68,7 +68,7 @@ def certify(
         raise ConfigurationError(f"only planar fields are certified, not one of {field.dim}-D")
     check_rounding()
     # What nothing bounds is told before the search.
-    model_field(field, Boxes.square(BoxSizes.of(field).cover))
+    model_field(field, Boxes.square(BoxSizes.of(field).cover).patches)
     reference = field.path if reference is None else reference
     with threadpool_limits(**ONE_THREAD):
         return _search(field, reference, progress)
