@@ -46,11 +46,10 @@ from scipy.linalg import null_space
 
 from sgvf_drake.arrays import BoolArray, FloatArray
 from sgvf_drake.certificate.expansions import RECIPROCAL
-from sgvf_drake.certificate.field_model import dual_field, has_dual, model_field
+from sgvf_drake.certificate.field_model import BoundedField, dual_field, has_dual, model_field
 from sgvf_drake.certificate.kernels import SLACK
 from sgvf_drake.certificate.taylor_model import DualModel, TaylorModel
 from sgvf_drake.certificate.tube_cells import CHUNK, Answer, Division, Parts, divide
-from sgvf_drake.fields import GuidingField
 
 TICK = 2.0**-28
 """The unit of the numbers that define a tube, in normalised units.  Sums, differences and
@@ -195,7 +194,7 @@ class TubeProof:
         return self.proved and self.contraction is not None and self.contraction < 0
 
 
-def prove_tube(field: GuidingField, tube: Tube) -> TubeProof:
+def prove_tube(field: BoundedField, tube: Tube) -> TubeProof:
     """Proves that what enters a tube follows it.
 
     Args:
@@ -224,7 +223,7 @@ def prove_tube(field: GuidingField, tube: Tube) -> TubeProof:
     return TubeProof(True, weak, float(low), float(high), contraction, patches)
 
 
-def _ask_wall(field: GuidingField, sign: int, parts: Parts, _: int) -> Answer:
+def _ask_wall(field: BoundedField, sign: int, parts: Parts, _: int) -> Answer:
     """Asks whether m points inward all over parts of walls.
 
     Args:
@@ -239,7 +238,7 @@ def _ask_wall(field: GuidingField, sign: int, parts: Parts, _: int) -> Answer:
     return Answer(upper < 0, lower >= 0, np.empty((len(parts), 0)))
 
 
-def _ask_time(field: GuidingField, parts: Parts, depth: int) -> Answer:
+def _ask_time(field: BoundedField, parts: Parts, depth: int) -> Answer:
     """Asks how long orbits take through parts of cells, at least and at most.
 
     That is between the bounds of 2 det [T, S_1, ...] / det [m, S_1, ...].
@@ -280,7 +279,7 @@ def _minor(columns: Sequence[TaylorModel], rows: list[int]) -> TaylorModel:
     return reduce(add, terms)
 
 
-def _contraction(field: GuidingField, times: Division) -> tuple[float, int]:
+def _contraction(field: BoundedField, times: Division) -> tuple[float, int]:
     """Returns a bound of the integral of the rate of contraction over a lap.
 
     And the number of patches over which the derivatives of the field were bounded.

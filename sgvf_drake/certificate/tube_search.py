@@ -6,19 +6,24 @@ w' = |G| w + e, with the absolute values of G off its diagonal, is entered on ev
 speed e: with one number e, the inflow, the tube is as wide everywhere as m holds it together.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
+from typing import Any
 
 import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm, logm, null_space
-from scipy.sparse import block_diag, eye_array
+from scipy.interpolate import make_interp_spline
+from scipy.sparse import bsr_array
 from scipy.sparse.linalg import spsolve
 
-from sgvf_drake.arrays import BoolArray, FloatArray
+from sgvf_drake.arrays import FloatArray
 from sgvf_drake.certificate.tube import Tube, TubeProof, prove_tube
-from sgvf_drake.fields import GuidingField
+from sgvf_drake.certificate.field_model import BoundedField
+from sgvf_drake.fields import ComposedField
+from sgvf_drake.fields.compiled import CompiledField
 
 # Of the integration: the relative and absolute tolerance, and the longest step, in time at
 # |m| = 1, so that no passage of a plane is missed.
@@ -29,6 +34,14 @@ NEAR, CLOSED = 0.2, 1e-7
 LAPS, LONGEST_LAP = 6, 3.0
 # Step at which the field is looked at along an orbit.
 FINE = 1 / 128
+# A wall turns from section to section by no more than this share of the angle at which m
+# crosses it; and sections are no farther apart than this.
+SHARE, LONGEST = 1.0, 0.25
+# Inflows that are tried, and how often sections are added where a tube was not proved.
+INFLOWS, REFINEMENTS = (0.02, 0.04, 0.01), 3
+
+Solution = Callable[[FloatArray], FloatArray]
+Event = Callable[[float, FloatArray], float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,17 +49,17 @@ class Orbit:
     """A solution of z' = m(z), in normalised units.
 
     Attributes:
-        at: From times (n,) to points (n, d).
+        at: From times (n,) to points (d, n).
         duration: Of a lap, or until the vehicle rests.
         closed: Whether it is periodic.
     """
 
-    at: Callable[[FloatArray], FloatArray]
+    at: Solution
     duration: float
     closed: bool
 
 
-def closed_orbit(field: GuidingField, start: FloatArray, length: float) -> Orbit | None:
+def closed_orbit(field: BoundedField, start: FloatArray, length: float) -> Orbit | None:
     """Returns the closed orbit on which m settles.
 
     Args:
@@ -59,20 +72,197 @@ def closed_orbit(field: GuidingField, start: FloatArray, length: float) -> Orbit
     """
     place = _run(field, start, length).y[:, -1]
     for _ in range(LAPS):
-        plane, normal = place, field(field.cloud.denormalize(place))
-
-        def passed(_: float, z: FloatArray) -> float:
-            off = z - plane  # noqa: B023
-            return float(off @ normal) if off @ off < NEAR**2 else -1.0  # noqa: B023
-
-        run = _run(field, place, LONGEST_LAP * length, passed)
-        place = run.y[:, -1]
-        gap = plane - place
+        run = _run(field, place, LONGEST_LAP * length, _return_to(field, place))
+        gap, place = place - run.y[:, -1], run.y[:, -1]
         if run.status != 1 or gap @ gap > NEAR**2 / 4:
             return None
         if np.abs(gap).max() < CLOSED:
-            duration, solution = float(run.t[-1]), run.sol
-            return Orbit(
-                lambda t: solution(t).T + t[:, None] / duration * gap, duration, closed=True
-            )
+            return Orbit(_closed_up(run.sol, run.t[-1], gap), float(run.t[-1]), closed=True)
+    return None
+
+
+def _return_to(field: BoundedField, place: FloatArray) -> Event:
+    """Returns the event that an orbit from a place passes it in the same direction again."""
+    normal = field(field.cloud.denormalize(place))
+
+    def passed(t: float, z: FloatArray) -> float:
+        off = z - place
+        if t < LONGEST_STEP:
+            return 1.0
+        return float(off @ normal) if off @ off < NEAR**2 else -1.0
+
+    passed.terminal, passed.direction = True, 1.0  # type: ignore[attr-defined]
+    return passed
+
+
+def _closed_up(solution: Solution, duration: float, gap: FloatArray) -> Solution:
+    """Returns a solution whose gap between end and start is spread over its duration."""
+    return lambda t: solution(t) + gap[:, None] * t / duration
+
+
+def _run(
+    field: BoundedField, start: FloatArray, duration: float, event: Event | None = None
+) -> Any:
+    """Returns what `solve_ivp` finds for z' = m(z)."""
+    cloud, dim = field.cloud, field.dim
+    if isinstance(field, ComposedField):
+        evaluate = CompiledField(field)
+    else:
+        evaluate = field
+
+    def rate(_: float, z: FloatArray) -> FloatArray:
+        return evaluate(cloud.center + cloud.unit_length * z)
+
+    return solve_ivp(
+        rate,
+        (0.0, duration),
+        start,
+        method="DOP853",
+        events=event,
+        dense_output=True,
+        max_step=LONGEST_STEP,
+        rtol=TOLERANCE,
+        atol=TOLERANCE,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """An orbit, looked at in small steps.
+
+    Attributes:
+        orbit: The orbit.
+        times: (n + 1,) from 0 to the end.
+        points: (n + 1, d) there.
+        m: (n + 1, d) the velocities.
+        frame: (n + 1, d, d - 1) E, normal to m; of a closed orbit it closes.
+        growth: (n + 1, d - 1, d - 1) G, absolute off its diagonal.
+    """
+
+    orbit: Orbit
+    times: FloatArray
+    points: FloatArray
+    m: FloatArray
+    frame: FloatArray
+    growth: FloatArray
+
+    @classmethod
+    def along(cls, field: BoundedField, orbit: Orbit) -> "Course":
+        """Returns the course of an orbit."""
+        times = np.linspace(0, orbit.duration, int(np.ceil(orbit.duration / FINE)) + 1)
+        z = orbit.at(times).T
+        m, J = field.value_and_jacobian(field.cloud.denormalize(z))
+        frame, spin = _frame(m / np.linalg.norm(m, axis=1, keepdims=True), orbit.closed)
+        rate = spin / orbit.duration
+        growth = frame.swapaxes(1, 2) @ (J * field.cloud.unit_length) @ frame - rate
+        off = ~np.eye(len(rate), dtype=bool)
+        growth[:, off] = np.abs(growth[:, off])
+        return cls(orbit, times, z, m, frame, growth)
+
+    @cached_property
+    def _unit_axes(self) -> FloatArray:
+        """E times the half-widths for an inflow of one, (n + 1, d, d - 1).
+
+        The last widths are the first: an open orbit, too, begins as wide as it ends.
+        """
+        n, r = len(self.growth) - 1, self.growth.shape[1]
+        step = self.times[1]
+        blocks = np.eye(r) - step * self.growth[1:]
+        each = np.arange(n)
+        before = bsr_array((np.broadcast_to(np.eye(r), blocks.shape), (each - 1) % n, range(n + 1)))
+        now = bsr_array((blocks, each, range(n + 1)))
+        w = spsolve((now - before).tocsc(), np.full(n * r, step)).reshape(n, r)
+        return self.frame * np.concatenate([w[-1:], w])[:, None]
+
+    def sections(self, inflow: float) -> FloatArray:
+        """Returns times of sections, from 0 to the end.
+
+        They are so close that the walls turn by less than the angle at which m crosses them,
+        and no farther apart than is told.
+        """
+        axes = inflow * self._unit_axes
+        signs = np.array(list(product((-1.0, 1.0), repeat=axes.shape[2])))
+        edges = self.points[:, None] + signs @ axes.swapaxes(1, 2)
+        sides = np.diff(edges, axis=0)
+        length = np.linalg.norm(sides, axis=2)
+        sides /= length[..., None]
+        turn = np.linalg.norm(np.diff(sides, axis=0, append=sides[-1:]), axis=2)
+        speed = np.linalg.norm(self.m[1:], axis=1)
+        share = turn.max(axis=1) * speed / (SHARE * inflow) + length.max(axis=1) / LONGEST
+        passed = np.concatenate([[0], np.cumsum(share)])
+        count = int(np.ceil(passed[-1]))
+        return np.interp(np.linspace(0, passed[-1], count + 1), passed, self.times)
+
+    def tube(self, times: FloatArray, inflow: float) -> Tube:
+        """Returns the tube of an inflow with sections at some times, from 0 to the end."""
+        if self.orbit.closed:
+            times = times[:-1]
+        axes = make_interp_spline(self.times, inflow * self._unit_axes, k=1)(times)
+        return Tube.around(self.orbit.at(times).T, axes, closed=self.orbit.closed)
+
+
+def _frame(tangent: FloatArray, closed: bool) -> tuple[FloatArray, FloatArray]:
+    """Returns frames normal to unit tangents (n, d), and how they spin to close, (d-1, d-1).
+
+    Each is the one before, turned as the tangent turns (Bishop).  Where that does not close,
+    the rest of the turn is spread evenly over all.
+    """
+    c = (tangent[1:] * tangent[:-1]).sum(axis=1)[:, None, None]
+    K = tangent[1:, :, None] * tangent[:-1, None, :]
+    K = K - K.swapaxes(1, 2)
+    turns = np.eye(tangent.shape[1]) + K + K @ K / (1 + c)
+    frames = [_complement(tangent[0])]
+    for turn in turns:
+        frames.append(turn @ frames[-1])
+    frame = np.array(frames)
+    spin = np.zeros((frame.shape[2],) * 2)
+    if closed:
+        spin = np.real(logm(frame[-1].T @ frame[0]))
+        frame = frame @ expm(np.linspace(0, 1, len(frame))[:, None, None] * spin)
+    return frame, spin
+
+
+def _complement(tangent: FloatArray) -> FloatArray:
+    """Returns a frame (d, d - 1) with det [tangent, frame] = 1."""
+    frame = null_space(tangent[None])
+    frame[:, 0] *= np.linalg.det(np.column_stack([tangent, frame]))
+    return frame
+
+
+@dataclass(frozen=True, eq=False)
+class FoundTube:
+    """A tube that was proved.
+
+    Attributes:
+        tube: The tube.
+        proof: What is proved of it.
+        orbit: The orbit that it was laid around.
+    """
+
+    tube: Tube
+    proof: TubeProof
+    orbit: Orbit
+
+
+def find_tube(field: BoundedField, points: FloatArray, *, closed: bool) -> FoundTube | None:
+    """Returns a proved tube around the orbit of a piece of a path; None: none was found.
+
+    Args:
+        field: m.
+        points: (M, 2) along the piece in the direction of travel, normalised.
+        closed: Whether the piece is closed.
+    """
+    length = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
+    orbit = closed_orbit(field, points[0], length)
+    if orbit is None:
+        return None
+    course = Course.along(field, orbit)
+    for inflow in INFLOWS:
+        times = course.sections(inflow)
+        for _ in range(REFINEMENTS):
+            tube = course.tube(times, inflow)
+            proof = prove_tube(field, tube)
+            if proof.proved:
+                return FoundTube(tube, proof, orbit)
+            times = np.sort(np.concatenate([times, (times[:-1] + times[1:])[proof.weak] / 2]))
     return None
