@@ -140,8 +140,9 @@ class Tube:
         one side of its plane, as its corners are.
         """
         rows = self.rows
-        normal = null_space(rows[0, 1:])[:, 0]
-        frame = np.column_stack([normal, *rows[0, 1:]])
+        onward = null_space(rows[0, 1:])[:, 0]
+        onward *= np.sign(onward @ (rows[1, 0] - rows[0, 0]))
+        frame = np.column_stack([onward, *rows[0, 1:]])
         y = np.linalg.solve(frame, (_corners(rows) - rows[0, 0])[..., None])[..., 0]
         cells = np.concatenate([y[:-1], y[1:]], axis=1)
         low, high = cells.min(axis=1), cells.max(axis=1)
@@ -216,7 +217,8 @@ def prove_tube(field: BoundedField, tube: Tube) -> TubeProof:
         return TubeProof(False, weak, np.nan, np.nan, None, patches)
     contraction = None
     if tube.closed and has_dual(field):
-        contraction, asked = _contraction(field, times)
+        spent = np.stack([np.bincount(times.parts.cell, column) for column in times.facts.T], 1)
+        contraction, asked = _contraction(field, cells, spent)
         patches += asked
     rounding = SLACK * len(times.facts)
     low, high = times.facts.sum(axis=0) * [1 - rounding, 1 + rounding]
@@ -279,12 +281,17 @@ def _minor(columns: Sequence[TaylorModel], rows: list[int]) -> TaylorModel:
     return reduce(add, terms)
 
 
-def _contraction(field: BoundedField, times: Division) -> tuple[float, int]:
+def _contraction(field: BoundedField, parts: Parts, facts: FloatArray) -> tuple[float, int]:
     """Returns a bound of the integral of the rate of contraction over a lap.
 
     And the number of patches over which the derivatives of the field were bounded.
+
+    Args:
+        field: m.
+        parts: The cells.
+        facts: (n, 2) bounds of the time that an orbit takes through each.
     """
-    parts, facts, asked, settled = times.parts, times.facts, 0, 0.0
+    asked, settled = 0, 0.0
     for depth in range(FOR_RATE + 1):
         asked += len(parts)
         rate = np.concatenate(

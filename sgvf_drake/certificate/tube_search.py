@@ -27,13 +27,14 @@ from sgvf_drake.fields.compiled import CompiledField
 
 # Of the integration: the relative and absolute tolerance, and the longest step, in time at
 # |m| = 1, so that no passage of a plane is missed.
-TOLERANCE, LONGEST_STEP = 1e-9, 0.1
+TOLERANCE, LONGEST_STEP = 1e-7, 0.1
 # A return to within this is looked at, in U, and one to within `CLOSED` ends the search.
-NEAR, CLOSED = 0.2, 1e-7
+NEAR, CLOSED = 0.2, 1e-6
 # An orbit is given so many laps to settle, each of so many times the length of the piece.
-LAPS, LONGEST_LAP = 6, 3.0
-# Step at which the field is looked at along an orbit.
-FINE = 1 / 128
+SETTLING, LAPS, LONGEST_LAP = 0.2, 6, 3.0
+# The time and the turn, in rad, between points at which the field is looked at along an orbit,
+# and the time at first.
+FINE, FINE_TURN, FIRST = 1 / 32, 1 / 64, 1 / 64
 # A wall turns from section to section by no more than this share of the angle at which m
 # crosses it; and sections are no farther apart than this.
 SHARE, LONGEST = 1.0, 0.25
@@ -70,7 +71,7 @@ def closed_orbit(field: BoundedField, start: FloatArray, length: float) -> Orbit
     Returns:
         The orbit; None if m does not settle on one.
     """
-    place = _run(field, start, length).y[:, -1]
+    place = _run(field, start, SETTLING * length).y[:, -1]
     for _ in range(LAPS):
         run = _run(field, place, LONGEST_LAP * length, _return_to(field, place))
         gap, place = place - run.y[:, -1], run.y[:, -1]
@@ -149,10 +150,10 @@ class Course:
     @classmethod
     def along(cls, field: BoundedField, orbit: Orbit) -> "Course":
         """Returns the course of an orbit."""
-        times = np.linspace(0, orbit.duration, int(np.ceil(orbit.duration / FINE)) + 1)
+        times = _looked_at(field, orbit)
         z = orbit.at(times).T
         m, J = field.value_and_jacobian(field.cloud.denormalize(z))
-        frame, spin = _frame(m / np.linalg.norm(m, axis=1, keepdims=True), orbit.closed)
+        frame, spin = _frame(_direction(m), orbit.closed)
         rate = spin / orbit.duration
         growth = frame.swapaxes(1, 2) @ (J * field.cloud.unit_length) @ frame - rate
         off = ~np.eye(len(rate), dtype=bool)
@@ -166,12 +167,12 @@ class Course:
         The last widths are the first: an open orbit, too, begins as wide as it ends.
         """
         n, r = len(self.growth) - 1, self.growth.shape[1]
-        step = self.times[1]
-        blocks = np.eye(r) - step * self.growth[1:]
+        step = np.diff(self.times)
+        blocks = np.eye(r) - step[:, None, None] * self.growth[1:]
         each = np.arange(n)
         before = bsr_array((np.broadcast_to(np.eye(r), blocks.shape), (each - 1) % n, range(n + 1)))
         now = bsr_array((blocks, each, range(n + 1)))
-        w = spsolve((now - before).tocsc(), np.full(n * r, step)).reshape(n, r)
+        w = spsolve((now - before).tocsc(), np.repeat(step, r)).reshape(n, r)
         return self.frame * np.concatenate([w[-1:], w])[:, None]
 
     def sections(self, inflow: float) -> FloatArray:
@@ -189,9 +190,7 @@ class Course:
         turn = np.linalg.norm(np.diff(sides, axis=0, append=sides[-1:]), axis=2)
         speed = np.linalg.norm(self.m[1:], axis=1)
         share = turn.max(axis=1) * speed / (SHARE * inflow) + length.max(axis=1) / LONGEST
-        passed = np.concatenate([[0], np.cumsum(share)])
-        count = int(np.ceil(passed[-1]))
-        return np.interp(np.linspace(0, passed[-1], count + 1), passed, self.times)
+        return _spread(self.times, share)
 
     def tube(self, times: FloatArray, inflow: float) -> Tube:
         """Returns the tube of an inflow with sections at some times, from 0 to the end."""
@@ -199,6 +198,24 @@ class Course:
             times = times[:-1]
         axes = make_interp_spline(self.times, inflow * self._unit_axes, k=1)(times)
         return Tube.around(self.orbit.at(times).T, axes, closed=self.orbit.closed)
+
+
+def _looked_at(field: BoundedField, orbit: Orbit) -> FloatArray:
+    """Returns times along an orbit, close together where it turns."""
+    times = np.linspace(0, orbit.duration, int(np.ceil(orbit.duration / FIRST)) + 1)
+    tangent = _direction(field(field.cloud.denormalize(orbit.at(times).T)))
+    turn = np.linalg.norm(np.diff(tangent, axis=0), axis=1)
+    return _spread(times, np.diff(times) / FINE + turn / FINE_TURN)
+
+
+def _spread(times: FloatArray, shares: FloatArray) -> FloatArray:
+    """Returns times between which the shares (n,) of steps between times (n + 1,) add up to one."""
+    passed = np.concatenate([[0], np.cumsum(shares)])
+    return np.interp(np.linspace(0, passed[-1], int(np.ceil(passed[-1])) + 1), passed, times)
+
+
+def _direction(m: FloatArray) -> FloatArray:
+    return np.asarray(m / np.linalg.norm(m, axis=1, keepdims=True))
 
 
 def _frame(tangent: FloatArray, closed: bool) -> tuple[FloatArray, FloatArray]:
