@@ -35,7 +35,7 @@ a `Rest`, the orbit stays there and comes to its zero.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial, reduce
 from itertools import product
 from operator import add
@@ -45,10 +45,12 @@ import numpy as np
 from scipy.linalg import null_space
 
 from sgvf_drake.arrays import BoolArray, FloatArray
+from sgvf_drake.certificate.contraction import rate_across
 from sgvf_drake.certificate.expansions import RECIPROCAL
 from sgvf_drake.certificate.field_model import BoundedField, dual_field, has_dual, model_field
-from sgvf_drake.certificate.kernels import SLACK
-from sgvf_drake.certificate.taylor_model import DualModel, TaylorModel
+from sgvf_drake.certificate.kernels import SLACK, check_rounding
+from sgvf_drake.certificate.rest_ball import RestBall, prove_rest
+from sgvf_drake.certificate.taylor_model import TaylorModel
 from sgvf_drake.certificate.tube_cells import CHUNK, Answer, Division, Parts, divide
 
 TICK = 2.0**-28
@@ -60,16 +62,14 @@ LARGEST = 2**31
 """No number is larger, in ticks: all is within eight normalised units."""
 
 # A cell is halved until the bounds of the time that it takes are so close, relative to the
-# upper one, or so often.
-CLOSE, FOR_TIME = 0.01, 2
-# Parts on which the rate of contraction may be positive are halved so often.
+# upper one, and with each time that it is halved twice as far apart; or so often.
+CLOSE, FOR_TIME = 0.01, 4
+# Cells on which the rate of contraction may be positive are halved so often.
 FOR_RATE = 3
-# How firmly m is kept out of the eigenvectors of a symmetric part: c |m|^2 over its size.
-FIRMNESS = 2.0
-# Columns of what is known of the time that a part takes.
-LOW, HIGH = range(2)
-# Beyond the rounding of coordinates in the frame of a section, and of eigenvalues, by far.
-ROUNDING = 1e-9
+# What is known of the time that a part takes: bounds for all of it, and for a cell as it is.
+LOW, HIGH, LEAST, MOST = range(4)
+# Beyond the rounding of distances, by far.
+ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
@@ -80,23 +80,33 @@ class Tube:
         sections: Each of d rows of d whole numbers, in ticks: the middle p and the d - 1
             columns of A, which are half the sides.
         closed: Whether the last section is followed by the first.
+        rest: The ball in which an open tube ends; None: it leads to its last section only.
     """
 
     sections: tuple[tuple[tuple[int, ...], ...], ...]
     closed: bool
+    rest: RestBall | None = None
 
     @classmethod
-    def around(cls, middles: FloatArray, axes: FloatArray, *, closed: bool) -> "Tube":
+    def around(
+        cls,
+        middles: FloatArray,
+        axes: FloatArray,
+        *,
+        closed: bool,
+        rest: RestBall | None = None,
+    ) -> "Tube":
         """Returns the tube whose sections are the nearest to some numbers.
 
         Args:
             middles: (K, d) p, normalised.
             axes: (K, d, d - 1) A.
-            closed: Whether the last section is followed by the first.
+            closed: As the attribute.
+            rest: The same.
         """
         rows = np.concatenate([middles[:, None], np.swapaxes(axes, 1, 2)], axis=1)
         ticks = np.rint(rows / TICK).astype(int).tolist()
-        return cls(tuple(tuple(map(tuple, section)) for section in ticks), closed)
+        return cls(tuple(tuple(map(tuple, section)) for section in ticks), closed, rest)
 
     @classmethod
     def of(cls, body: Mapping[str, Any]) -> "Tube":
@@ -110,14 +120,14 @@ class Tube:
         sections = tuple(
             tuple(tuple(map(_ticks, row)) for row in section) for section in body["sections"]
         )
-        if not isinstance(body["closed"], bool):
-            raise TypeError(f"closed must be true or false, not {body['closed']!r}")
+        closed, rest = body["closed"], body["rest"]
+        if not isinstance(closed, bool):
+            raise TypeError(f"closed must be true or false, not {closed!r}")
         if len(sections) < 3:
             raise ValueError(f"a tube has three sections or more, not {len(sections)}")
-        dim = len(sections[0])
-        if dim < 2 or any(len(row) != dim for section in sections for row in (section, *section)):
+        if np.array(sections).shape[1:] != (len(sections[0]),) * 2:
             raise ValueError("each section must have d rows of d numbers")
-        return cls(sections, body["closed"])
+        return cls(sections, closed, None if rest is None else RestBall.of(rest))
 
     @property
     def rows(self) -> FloatArray:
@@ -130,26 +140,6 @@ class Tube:
         """The largest distance of a corner of a section from its middle."""
         rows = self.rows
         return float(np.linalg.norm(_corners(rows) - rows[:, :1], axis=2).max())
-
-    @property
-    def passes_once(self) -> bool:
-        """Whether no cell but the first and the last touch the first section.
-
-        A closed orbit of a closed chain then passes that section once.  In the coordinates of
-        the section, in which it is the cube, each other cell is beyond one of its sides or on
-        one side of its plane, as its corners are.
-        """
-        rows = self.rows
-        onward = null_space(rows[0, 1:])[:, 0]
-        onward *= np.sign(onward @ (rows[1, 0] - rows[0, 0]))
-        frame = np.column_stack([onward, *rows[0, 1:]])
-        y = np.linalg.solve(frame, (_corners(rows) - rows[0, 0])[..., None])[..., 0]
-        cells = np.concatenate([y[:-1], y[1:]], axis=1)
-        low, high = cells.min(axis=1), cells.max(axis=1)
-        apart = (low[:, 0] > ROUNDING) | (high[:, 0] < -ROUNDING)
-        apart |= ((low[:, 1:] > 1 + ROUNDING) | (high[:, 1:] < -1 - ROUNDING)).any(axis=1)
-        leaves, comes = y[1, :, 0].min() > ROUNDING, y[-2, :, 0].max() < -ROUNDING
-        return bool(apart[1:-1].all() and leaves and comes)
 
 
 def _ticks(number: Any) -> int:
@@ -173,21 +163,29 @@ class TubeProof:
     Times are those at |m| = 1 in normalised units of length.
 
     Attributes:
-        proved: Whether what enters the tube follows it to its end, or for ever.
+        proved: Whether what enters the tube follows it for ever, or to its end, and rests
+            there if it ends in a ball.
         weak: (K,) the cells of which that was not proved.
-        time_low: Time from the first section to the last, or of a lap, at least.
-        time_high: The same, at most.
-        contraction: A bound of the logarithm of what a lap makes of lengths across m; None:
-            the chain is open, or nothing bounds the derivatives of the field.
         patches: Over how many patches the field was bounded.
+        time_low: Of a lap, or from the first section to the last, at least.
+        time_high: The same, at most.
+        once: Whether a closed orbit passes the first section once a lap.
+        contraction: A bound of the logarithm of what a lap makes of lengths across m; None:
+            the tube is open, or nothing bounds it.
     """
 
     proved: bool
     weak: BoolArray
-    time_low: float
-    time_high: float
-    contraction: float | None
     patches: int
+    time_low: float = np.nan
+    time_high: float = np.nan
+    once: bool = False
+    contraction: float | None = None
+
+    @property
+    def spread(self) -> float:
+        """How far the bounds of the time are from their middle, relative to that."""
+        return (self.time_high - self.time_low) / (self.time_high + self.time_low)
 
     @property
     def unique(self) -> bool:
@@ -196,33 +194,82 @@ class TubeProof:
 
 
 def prove_tube(field: BoundedField, tube: Tube) -> TubeProof:
-    """Proves that what enters a tube follows it.
+    """Proves that what enters a tube follows it, and what that says of a closed orbit.
 
     Args:
         field: m.
         tube: The tube.
+
+    Raises:
+        ConfigurationError: If the field is of a kind that nothing bounds.
+        RuntimeError: If the process does not round to nearest.
     """
+    check_rounding()
     rows = tube.rows
     cells = Parts(rows[:-1], rows[1:], np.arange(len(rows) - 1))
-    times = divide(cells, partial(_ask_time, field))
-    walls = [
-        divide(cells.wall(column, side), partial(_ask_wall, field, side * (-1) ** column))
-        for column, side in product(range(1, field.dim), (1, -1))
-    ]
-    weak = np.zeros(len(cells), bool)
-    for question in (times, *walls):
-        weak[question.open_cells] = True
-    patches = sum(question.asked for question in (times, *walls))
-    if weak.any():
-        return TubeProof(False, weak, np.nan, np.nan, None, patches)
-    contraction = None
-    if tube.closed and has_dual(field):
-        spent = np.stack([np.bincount(times.parts.cell, column) for column in times.facts.T], 1)
-        contraction, asked = _contraction(field, cells, spent)
-        patches += asked
+    # What overflows is not below any bound.
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        questions = [
+            divide(cells.wall(column, side), partial(_ask_wall, field, side * (-1) ** column))
+            for column, side in product(range(1, rows.shape[1]), (1, -1))
+        ]
+        if not any(len(walls.open_cells) for walls in questions):
+            questions.append(divide(cells, partial(_ask_time, field)))
+        patches = sum(question.asked for question in questions)
+        weak = np.zeros(len(cells), bool)
+        for question in questions:
+            weak[question.open_cells] = True
+        if weak.any() or not _ends_in_rest(field, tube):
+            return TubeProof(False, weak, patches)
+        return _proved(field, tube, cells, questions[-1], patches)
+
+
+def _ends_in_rest(field: BoundedField, tube: Tube) -> bool:
+    """Whether the last section is in the ball of the tube, and what is there comes to rest."""
+    if tube.rest is None:
+        return True
+    off = np.linalg.norm(_corners(tube.rows[-1:])[0] - tube.rest.center, axis=1).max()
+    return (
+        bool(off <= (1 - ROUNDING) * tube.rest.radius) and prove_rest(field, tube.rest).proved
+    )
+
+
+def _proved(
+    field: BoundedField, tube: Tube, cells: Parts, times: Division, patches: int
+) -> TubeProof:
+    """Returns what follows for a tube whose cells are proved."""
     rounding = SLACK * len(times.facts)
-    low, high = times.facts.sum(axis=0) * [1 - rounding, 1 + rounding]
-    return TubeProof(True, weak, float(low), float(high), contraction, patches)
+    low, high = times.facts[:, [LOW, HIGH]].sum(axis=0) * [1 - rounding, 1 + rounding]
+    proof = TubeProof(True, np.zeros(len(cells), bool), patches, float(low), float(high))
+    if not tube.closed:
+        return proof
+    proof = replace(proof, once=_passes_once(tube.rows))
+    if not has_dual(field):
+        return proof
+    bounds = np.tile([np.inf, 0.0], (len(cells), 1))
+    np.minimum.at(bounds[:, LOW], times.parts.cell, times.facts[:, LEAST])
+    np.maximum.at(bounds[:, HIGH], times.parts.cell, times.facts[:, MOST])
+    contraction, asked = _contraction(field, cells, bounds)
+    return replace(proof, contraction=contraction, patches=patches + asked)
+
+
+def _passes_once(rows: FloatArray) -> bool:
+    """Whether no cells but the first and the last touch the first section, and these once.
+
+    A closed orbit then passes that section once a lap.  In coordinates of the section, where it
+    is a cube in a plane, each other cell is beyond one of its sides or on one side of the
+    plane, as all of its corners are.
+    """
+    onward = null_space(rows[0, 1:])[:, 0]
+    onward *= np.sign(onward @ (rows[1, 0] - rows[0, 0]))
+    frame = np.column_stack([onward, *rows[0, 1:]])
+    off = ROUNDING / np.linalg.norm(frame, ord=-2)
+    y = np.linalg.solve(frame, (_corners(rows) - rows[0, 0])[..., None])[..., 0]
+    ends = np.concatenate([y[:-1], y[1:]], axis=1)
+    low, high = ends.min(axis=1), ends.max(axis=1)
+    apart = (low[:, 0] > off) | (high[:, 0] < -off)
+    apart |= ((low[:, 1:] > 1 + off) | (high[:, 1:] < -1 - off)).any(axis=1)
+    return bool(apart[1:-1].all() and y[1, :, 0].min() > off and y[-2, :, 0].max() < -off)
 
 
 def _ask_wall(field: BoundedField, sign: int, parts: Parts, _: int) -> Answer:
@@ -250,13 +297,14 @@ def _ask_time(field: BoundedField, parts: Parts, depth: int) -> Answer:
     volume, flux = N.dot(along), N.dot(model_field(field, patches))
     refuted = (volume.upper[:, 0] <= 0) | (flux.upper[:, 0] <= 0)
     onward = (volume.lower[:, 0] > 0) & (flux.lower[:, 0] > 0)
-    facts = np.full((len(parts), 2), np.nan)
+    facts = np.full((len(parts), 4), np.nan)
     if onward.any():
         volume, flux = volume[onward], flux[onward]
         times = volume.scaled(2.0) * flux.apply(RECIPROCAL, least=float(flux.lower.min()))
-        facts[onward] = np.concatenate([np.maximum(times.lower, 0), times.upper], axis=1)
-    low, high = facts.T
-    decided = onward & ((high - low <= CLOSE * high) | (depth >= FOR_TIME))
+        bounds = np.concatenate([np.maximum(times.lower, 0), times.upper], axis=1)
+        facts[onward] = np.concatenate([bounds, 2**depth * bounds], axis=1)
+    low, high = facts[:, LOW], facts[:, HIGH]
+    decided = onward & ((high - low <= 2**depth * CLOSE * high) | (depth >= FOR_TIME))
     return Answer(decided, refuted, facts)
 
 
@@ -281,58 +329,30 @@ def _minor(columns: Sequence[TaylorModel], rows: list[int]) -> TaylorModel:
     return reduce(add, terms)
 
 
-def _contraction(field: BoundedField, parts: Parts, facts: FloatArray) -> tuple[float, int]:
-    """Returns a bound of the integral of the rate of contraction over a lap.
+def _contraction(
+    field: BoundedField, parts: Parts, bounds: FloatArray
+) -> tuple[float | None, int]:
+    """Returns a bound of the integral of the rate of contraction over a lap, if there is one.
 
     And the number of patches over which the derivatives of the field were bounded.
 
     Args:
         field: m.
         parts: The cells.
-        facts: (n, 2) bounds of the time that an orbit takes through each.
+        bounds: (n, 2) of the time that each takes, in proportion to t at every t.
     """
     asked, settled = 0, 0.0
     for depth in range(FOR_RATE + 1):
-        asked += len(parts)
+        chunks = (parts[first : first + CHUNK] for first in range(0, len(parts), CHUNK))
         rate = np.concatenate(
-            [
-                _rate(dual_field(field, parts[first : first + CHUNK].models()[0]))
-                for first in range(0, len(parts), CHUNK)
-            ]
+            [rate_across(dual_field(field, chunk.models()[0])) for chunk in chunks]
         )
-        # Half of a part takes half of what the bounds say of it.
-        integral = rate * np.where(rate > 0, facts[:, HIGH], facts[:, LOW])
+        asked += len(parts)
+        integral = rate * np.where(rate > 0, bounds[:, HIGH], bounds[:, LOW])
         total = settled + integral.sum() + SLACK * len(rate) * np.abs(integral).sum()
         loose = ~(integral < 0)
         if total < 0 or depth == FOR_RATE or not loose.any():
             break
-        settled += float(integral[~loose].sum())
-        parts, facts = parts[loose].halves(), np.tile(facts[loose] / 2, (2, 1))
-    return float(total), asked
-
-
-def _rate(dual: DualModel) -> FloatArray:
-    """Returns bounds from above of the rate at which lengths across m change, (n,)."""
-    if len(dual.slopes) == 2:
-        return np.asarray(dual.divergence.upper[:, 0])
-    # With v normal to m, v . J v = v . (S - c m m^T) v for the symmetric part S and any c.
-    J, J_off = _middles(dual.slopes)
-    m, m_off = (parts[..., 0] for parts in _middles((dual.value,)))
-    S, S_off = (J + J.swapaxes(1, 2)) / 2, (J_off + J_off.swapaxes(1, 2)) / 2
-    size, m_size = np.linalg.norm(S, axis=(1, 2)), np.linalg.norm(m, axis=1)
-    c = FIRMNESS * size / m_size**2
-    off = np.linalg.norm(m_off, axis=1)
-    across = S - c[:, None, None] * m[:, :, None] * m[:, None, :]
-    rounding = ROUNDING * np.linalg.norm(across, axis=(1, 2))
-    varied = np.linalg.norm(S_off, axis=(1, 2)) + c * off * (2 * m_size + off)
-    return np.linalg.eigvalsh(across)[:, -1] + (1 + ROUNDING) * varied + rounding
-
-
-def _middles(models: Sequence[TaylorModel]) -> tuple[FloatArray, FloatArray]:
-    """Returns numbers, (n, f, len(models)), and how far the functions go from them at most."""
-    low, high = (
-        np.stack([getattr(model, side) for model in models], axis=2)
-        for side in ("lower", "upper")
-    )
-    middle = (low + high) / 2
-    return middle, (1 + SLACK) * np.maximum(high - middle, middle - low)
+        settled += float(integral[~loose].sum() * (1 - SLACK * len(rate)))
+        parts, bounds = parts[loose].halves(), np.tile(bounds[loose] / 2, (2, 1))
+    return float(total) if np.isfinite(total) else None, asked

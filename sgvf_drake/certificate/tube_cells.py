@@ -12,7 +12,7 @@ from sgvf_drake.certificate.taylor_model import TaylorModel
 # Parts are halved so often, at most.
 HALVINGS = 4
 # Parts that are asked about at once.
-CHUNK = 500
+CHUNK = 200
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,125 +6,32 @@ w' = |G| w + e, with the absolute values of G off its diagonal, is entered on ev
 speed e: with one number e, the inflow, the tube is as wide everywhere as m holds it together.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
-from typing import Any
 
 import numpy as np
-from scipy.integrate import solve_ivp
-from scipy.linalg import expm, logm, null_space
 from scipy.interpolate import make_interp_spline
+from scipy.linalg import expm, logm, null_space
 from scipy.sparse import bsr_array
 from scipy.sparse.linalg import spsolve
 
 from sgvf_drake.arrays import FloatArray
-from sgvf_drake.certificate.tube import Tube, TubeProof, prove_tube
 from sgvf_drake.certificate.field_model import BoundedField
-from sgvf_drake.fields import ComposedField
-from sgvf_drake.fields.compiled import CompiledField
+from sgvf_drake.certificate.trajectories import Orbit, closed_orbit, open_orbit
+from sgvf_drake.certificate.tube import Tube, TubeProof, prove_tube
 
-# Of the integration: the relative and absolute tolerance, and the longest step, in time at
-# |m| = 1, so that no passage of a plane is missed.
-TOLERANCE, LONGEST_STEP = 1e-7, 0.1
-# A return to within this is looked at, in U, and one to within `CLOSED` ends the search.
-NEAR, CLOSED = 0.2, 1e-6
-# An orbit is given so many laps to settle, each of so many times the length of the piece.
-SETTLING, LAPS, LONGEST_LAP = 0.2, 6, 3.0
 # The time and the turn, in rad, between points at which the field is looked at along an orbit,
 # and the time at first.
 FINE, FINE_TURN, FIRST = 1 / 32, 1 / 64, 1 / 64
 # A wall turns from section to section by no more than this share of the angle at which m
 # crosses it; and sections are no farther apart than this.
 SHARE, LONGEST = 1.0, 0.25
-# Inflows that are tried, and how often sections are added where a tube was not proved.
-INFLOWS, REFINEMENTS = (0.02, 0.04, 0.01), 3
-
-Solution = Callable[[FloatArray], FloatArray]
-Event = Callable[[float, FloatArray], float]
-
-
-@dataclass(frozen=True, eq=False)
-class Orbit:
-    """A solution of z' = m(z), in normalised units.
-
-    Attributes:
-        at: From times (n,) to points (d, n).
-        duration: Of a lap, or until the vehicle rests.
-        closed: Whether it is periodic.
-    """
-
-    at: Solution
-    duration: float
-    closed: bool
-
-
-def closed_orbit(field: BoundedField, start: FloatArray, length: float) -> Orbit | None:
-    """Returns the closed orbit on which m settles.
-
-    Args:
-        field: m.
-        start: (d,) where to start, normalised.
-        length: About the time of a lap.
-
-    Returns:
-        The orbit; None if m does not settle on one.
-    """
-    place = _run(field, start, SETTLING * length).y[:, -1]
-    for _ in range(LAPS):
-        run = _run(field, place, LONGEST_LAP * length, _return_to(field, place))
-        gap, place = place - run.y[:, -1], run.y[:, -1]
-        if run.status != 1 or gap @ gap > NEAR**2 / 4:
-            return None
-        if np.abs(gap).max() < CLOSED:
-            return Orbit(_closed_up(run.sol, run.t[-1], gap), float(run.t[-1]), closed=True)
-    return None
-
-
-def _return_to(field: BoundedField, place: FloatArray) -> Event:
-    """Returns the event that an orbit from a place passes it in the same direction again."""
-    normal = field(field.cloud.denormalize(place))
-
-    def passed(t: float, z: FloatArray) -> float:
-        off = z - place
-        if t < LONGEST_STEP:
-            return 1.0
-        return float(off @ normal) if off @ off < NEAR**2 else -1.0
-
-    passed.terminal, passed.direction = True, 1.0  # type: ignore[attr-defined]
-    return passed
-
-
-def _closed_up(solution: Solution, duration: float, gap: FloatArray) -> Solution:
-    """Returns a solution whose gap between end and start is spread over its duration."""
-    return lambda t: solution(t) + gap[:, None] * t / duration
-
-
-def _run(
-    field: BoundedField, start: FloatArray, duration: float, event: Event | None = None
-) -> Any:
-    """Returns what `solve_ivp` finds for z' = m(z)."""
-    cloud, dim = field.cloud, field.dim
-    if isinstance(field, ComposedField):
-        evaluate = CompiledField(field)
-    else:
-        evaluate = field
-
-    def rate(_: float, z: FloatArray) -> FloatArray:
-        return evaluate(cloud.center + cloud.unit_length * z)
-
-    return solve_ivp(
-        rate,
-        (0.0, duration),
-        start,
-        method="DOP853",
-        events=event,
-        dense_output=True,
-        max_step=LONGEST_STEP,
-        rtol=TOLERANCE,
-        atol=TOLERANCE,
-    )
+# Inflows that are tried.  A wider tube has fewer cells, and looser bounds of the time.
+INFLOWS = (0.08, 0.04, 0.02, 0.01)
+# How far the bounds of the time may be from their middle, relative to it, for the first tube to
+# be taken.
+SPREAD = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +77,9 @@ class Course:
         step = np.diff(self.times)
         blocks = np.eye(r) - step[:, None, None] * self.growth[1:]
         each = np.arange(n)
-        before = bsr_array((np.broadcast_to(np.eye(r), blocks.shape), (each - 1) % n, range(n + 1)))
+        before = bsr_array(
+            (np.broadcast_to(np.eye(r), blocks.shape), (each - 1) % n, range(n + 1))
+        )
         now = bsr_array((blocks, each, range(n + 1)))
         w = spsolve((now - before).tocsc(), np.repeat(step, r)).reshape(n, r)
         return self.frame * np.concatenate([w[-1:], w])[:, None]
@@ -197,7 +106,9 @@ class Course:
         if self.orbit.closed:
             times = times[:-1]
         axes = make_interp_spline(self.times, inflow * self._unit_axes, k=1)(times)
-        return Tube.around(self.orbit.at(times).T, axes, closed=self.orbit.closed)
+        return Tube.around(
+            self.orbit.at(times).T, axes, closed=self.orbit.closed, rest=self.orbit.rest
+        )
 
 
 def _looked_at(field: BoundedField, orbit: Orbit) -> FloatArray:
@@ -209,7 +120,7 @@ def _looked_at(field: BoundedField, orbit: Orbit) -> FloatArray:
 
 
 def _spread(times: FloatArray, shares: FloatArray) -> FloatArray:
-    """Returns times between which the shares (n,) of steps between times (n + 1,) add up to one."""
+    """Returns times between which the shares (n,) of the steps of others add up to one."""
     passed = np.concatenate([[0], np.cumsum(shares)])
     return np.interp(np.linspace(0, passed[-1], int(np.ceil(passed[-1])) + 1), passed, times)
 
@@ -269,17 +180,30 @@ def find_tube(field: BoundedField, points: FloatArray, *, closed: bool) -> Found
         points: (M, 2) along the piece in the direction of travel, normalised.
         closed: Whether the piece is closed.
     """
-    length = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
-    orbit = closed_orbit(field, points[0], length)
+    length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+    orbit = (closed_orbit if closed else open_orbit)(field, points[0], length)
     if orbit is None:
         return None
     course = Course.along(field, orbit)
+    found = None
     for inflow in INFLOWS:
-        times = course.sections(inflow)
-        for _ in range(REFINEMENTS):
-            tube = course.tube(times, inflow)
-            proof = prove_tube(field, tube)
-            if proof.proved:
-                return FoundTube(tube, proof, orbit)
-            times = np.sort(np.concatenate([times, (times[:-1] + times[1:])[proof.weak] / 2]))
-    return None
+        tighter = _refined(field, course, inflow)
+        found = found if tighter is None else tighter
+        if found is not None and found.proof.spread <= SPREAD:
+            break
+    return found
+
+
+def _refined(field: BoundedField, course: Course, inflow: float) -> FoundTube | None:
+    """Returns a proved tube of an inflow, with more sections where that helps; or None."""
+    times, weak = course.sections(inflow), np.inf
+    while True:
+        tube = course.tube(times, inflow)
+        proof = prove_tube(field, tube)
+        if proof.proved:
+            return FoundTube(tube, proof, course.orbit)
+        if not 0 < proof.weak.sum() < weak:
+            return None
+        weak = proof.weak.sum()
+        middles = ((times[:-1] + times[1:]) / 2)[proof.weak]
+        times = np.sort(np.concatenate([times, middles]))
