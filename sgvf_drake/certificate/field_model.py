@@ -73,9 +73,7 @@ class Algebra(Generic[Model]):
             return m
         return m + self._nearness(rest, patches) * (compose(rest.composition, S, N) - m)
 
-    def score_and_tangent(
-        self, field: BoundedField, patches: Patches
-    ) -> tuple[Model, Model]:
+    def score_and_tangent(self, field: BoundedField, patches: Patches) -> tuple[Model, Model]:
         """Returns the models of the raw score S and of the tangent N as it comes."""
         match field:
             case ComposedField():

@@ -13,7 +13,7 @@ the cache of compiled code.
 import numpy as np
 
 from sgvf_drake.arrays import FloatArray
-from sgvf_drake.compiling import kernel, part
+from sgvf_drake.compiling import accumulating_part, kernel, part
 
 UNIT = 2.0**-53
 """The unit roundoff of float64."""
@@ -203,7 +203,7 @@ def silu(u: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     for i in range(u.shape[0]):
         for j in range(u.shape[1]):
             t = u[i, j]
-            gate = 0.5 + 0.5 * np.tanh(0.5 * t)
+            gate = 1 / (1 + np.exp(-t))
             bell = gate * (1 - gate)
             value[i, j] = t * gate
             slope[i, j] = gate + t * bell
@@ -248,6 +248,8 @@ def cubic_rests(
 
 # exp is zero in float64 below minus this; what is below LEAST counts as that.
 UNDERFLOW, LEAST = 746.0, -690.0
+# A weight whose logarithm is below is left out of means, and what that changes is bounded.
+NEGLIGIBLE = -64.0
 # A weight that grows to the exponential of more says nothing any more, and would overflow.
 LARGEST = 500.0
 
@@ -329,31 +331,81 @@ def tilted_means(
     F, size = np.empty((columns, count)), np.empty((columns, count))
     b, tilts = np.empty((k, count)), np.empty(count)
     logarithms, weights, grown = np.empty(count), np.empty(count), np.empty(count)
-    largest = np.abs(exponents).max()
+    largest, reach = np.abs(exponents).max(), np.empty(columns)
     for i in range(n):
         for p in range(count):
-            square = 0.0
-            for c in range(d):
-                F[c, p] = points[p, c] - centers[i, c]
-                square += F[c, p] ** 2
-            for c in range(f):
-                F[d + c, p] = values[p, c]
-            logarithms[p] = exponents[p] - square / (2 * variance)
-        top, farthest = _weigh(logarithms, weights)
-        _centre(F, size, weights, parts[i, 0], base)
-        _project(F, size, axes[i], variance, b, tilts)
+            logarithms[p] = exponents[p] - _square(points[p], centers[i]) / (2 * variance)
+        m = _select(points, values, centers[i], axes[i], variance, logarithms, F, reach)
+        l, w, t, g = logarithms[:m], weights[:m], tilts[:m], grown[:m]
+        top, farthest = _weigh(l, w)
+        _centre(F, size, w, parts[i, 0], base)
+        _project(F, size, axes[i], variance, b, t)
         if products:
-            _multiply(F, size, weights, parts[i, 0], d)
-        _cumulants(F, b, weights, parts[i])
+            _multiply(F, size, w, parts[i, 0], d, reach)
+        _cumulants(F, b, w, parts[i])
         # Weights are off by the roundings of their exponents.
-        off = 8 * (abs(top) + 2 * largest + UNDERFLOW) + 4 * (count + 2 * LIBRARY)
-        error = 32 * UNIT * farthest + UNIT * off * (1 + (weights * tilts).sum())
-        sum_grown = _grow(b, tilts, logarithms, error, grown)
-        _rests(F, size, b, tilts, weights, grown, sum_grown, UNIT * off, remainder[i])
+        off = UNIT * (8 * (abs(top) + 2 * largest + UNDERFLOW) + 4 * (count + 2 * LIBRARY))
+        error = 32 * UNIT * farthest + off * (1 + (w * t).sum())
+        sum_grown = _grow(b, t, l, error, g)
+        _rests(F, size, b, t, w, g, sum_grown, off, remainder[i])
+        for c in range(columns):
+            remainder[i, c] += 4 * count * np.exp(NEGLIGIBLE + 1) * reach[c]
     return parts, remainder
 
 
 @part
+def _square(a: FloatArray, b: FloatArray) -> float:
+    total = 0.0
+    for c in range(len(a)):
+        total += (a[c] - b[c]) ** 2
+    return total
+
+
+@part
+def _select(
+    points: FloatArray,
+    values: FloatArray,
+    center: FloatArray,
+    axes: FloatArray,
+    variance: float,
+    logarithms: FloatArray,
+    F: FloatArray,
+    reach: FloatArray,
+) -> int:
+    """Puts what counts on a patch, its logarithms and x_i - c and values, to the front.
+
+    The weight of x_i over that of the nearest waypoint is there at most exp(l_i - l + sum_j
+    |A_j . (x_i - x)| / sigma^2).  What is left out is below exp(NEGLIGIBLE), also after
+    rounding below e times that, and so changes a mean by less than 4 N such parts of `reach`.
+
+    Returns:
+        The number of what counts.
+    """
+    (d, k), f, m = axes.shape, values.shape[1], 0
+    reach[:] = 0.0
+    nearest = np.argmax(logarithms)
+    top = logarithms[nearest]
+    for p in range(len(points)):
+        exponent = logarithms[p] - top
+        for j in range(k):
+            along = 0.0
+            for c in range(d):
+                along += axes[c, j] * (points[p, c] - points[nearest, c])
+            exponent += abs(along) / variance
+        for c in range(d):
+            F[c, m] = points[p, c] - center[c]
+            reach[c] = max(reach[c], abs(F[c, m]))
+        for c in range(f):
+            F[d + c, m] = values[p, c]
+            reach[d + c] = max(reach[d + c], abs(values[p, c]))
+        # Also what is no number counts.
+        if not exponent < NEGLIGIBLE:
+            logarithms[m] = logarithms[p]
+            m += 1
+    return m
+
+
+@accumulating_part
 def _weigh(logarithms: FloatArray, weights: FloatArray) -> tuple[float, float]:
     """Makes weights of sum one of logarithms, and their logarithms.
 
@@ -373,22 +425,29 @@ def _weigh(logarithms: FloatArray, weights: FloatArray) -> tuple[float, float]:
     return top, farthest
 
 
-@part
+@accumulating_part
 def _centre(
     F: FloatArray, size: FloatArray, weights: FloatArray, means: FloatArray, base: int
 ) -> None:
     """Takes the means off, and tells the sizes against which the weights are off."""
     for c in range(base):
-        mean = 0.0
-        for p in range(len(weights)):
-            mean += weights[p] * F[c, p]
+        row, sizes, mean = F[c], size[c], _mean(F[c], weights)
         means[c] = mean
         for p in range(len(weights)):
-            size[c, p] = abs(F[c, p]) + abs(F[c, p] - mean)
-            F[c, p] -= mean
+            value = row[p]
+            row[p] = value - mean
+            sizes[p] = abs(value) + abs(value - mean)
 
 
-@part
+@accumulating_part
+def _mean(values: FloatArray, weights: FloatArray) -> float:
+    total = 0.0
+    for p in range(len(weights)):
+        total += weights[p] * values[p]
+    return total
+
+
+@accumulating_part
 def _project(
     F: FloatArray,
     size: FloatArray,
@@ -400,16 +459,24 @@ def _project(
     """Makes b_j = A_j . y / sigma^2, and the sizes of what all of them are summed up from."""
     b[:], tilts[:] = 0.0, 0.0
     for c in range(axes.shape[0]):
+        row, sizes = F[c], size[c]
         for j in range(axes.shape[1]):
-            factor = axes[c, j] / variance
+            factor, along = axes[c, j] / variance, b[j]
+            if factor == 0:
+                continue
             for p in range(len(tilts)):
-                b[j, p] += factor * F[c, p]
-                tilts[p] += abs(factor) * size[c, p]
+                along[p] += factor * row[p]
+                tilts[p] += abs(factor) * sizes[p]
 
 
-@part
+@accumulating_part
 def _multiply(
-    F: FloatArray, size: FloatArray, weights: FloatArray, means: FloatArray, d: int
+    F: FloatArray,
+    size: FloatArray,
+    weights: FloatArray,
+    means: FloatArray,
+    d: int,
+    reach: FloatArray,
 ) -> None:
     """Makes the products of all columns with the first d, less their means."""
     base = len(F) // (1 + d)
@@ -419,13 +486,14 @@ def _multiply(
             for p in range(len(weights)):
                 F[to, p] = F[c, p] * F[e, p]
                 mean += weights[p] * F[to, p]
-            means[to] = mean
+            # Less their means, both reach twice as far.
+            means[to], reach[to] = mean, 4 * reach[c] * reach[e]
             for p in range(len(weights)):
                 F[to, p] -= mean
                 size[to, p] = size[c, p] * size[e, p] + abs(mean)
 
 
-@part
+@accumulating_part
 def _cumulants(F: FloatArray, b: FloatArray, weights: FloatArray, parts: FloatArray) -> None:
     """Makes the slopes E[F b_j] and the factors of u_j u_l: of E[F b_j b_l], half if j = l."""
     k = len(b)
@@ -442,7 +510,7 @@ def _cumulants(F: FloatArray, b: FloatArray, weights: FloatArray, parts: FloatAr
                 parts[q, c] = total / 2 if m == j else total
 
 
-@part
+@accumulating_part
 def _grow(
     b: FloatArray, tilts: FloatArray, logarithms: FloatArray, error: float, grown: FloatArray
 ) -> float:
@@ -466,7 +534,7 @@ def _grow(
     return total
 
 
-@part
+@accumulating_part
 def _rests(
     F: FloatArray,
     size: FloatArray,
@@ -483,15 +551,15 @@ def _rests(
     A sixth of the joint cumulant E[F a^3] - 3 E[F a] E[a^2] of F and three a = b . u, at any
     u, by absolute moments; about the means there.
     """
-    k, count = b.shape
-    change, a = np.empty(count), np.zeros(count)
+    k, count = len(b), len(weights)
+    change, a = np.empty(count), np.empty(count)
     for p in range(count):
         tilt = 0.0
         for j in range(k):
             tilt += abs(b[j, p])
         a[p] = tilt
         # Weights change by a factor between exp(-tilt) / Z and exp(tilt).
-        shrunk = weights[p] * np.exp(-tilt) / sum_grown if grown[p] > 0 else 0.0
+        shrunk = weights[p] * max(1 - tilt, 0.0) / sum_grown
         change[p] = max(grown[p] - weights[p], weights[p] - shrunk)
     for j in range(k):
         a += _moved(b[j], change)
@@ -511,10 +579,10 @@ def _rests(
         remainder[c] = (1 + SLACK) * rest + 8 * off * rounding * (1 + spread) + TINY
 
 
-@part
+@accumulating_part
 def _moved(values: FloatArray, change: FloatArray) -> float:
     """What the mean of values moves by at most, as their weights change."""
     total = 0.0
-    for p in range(len(values)):
+    for p in range(len(change)):
         total += abs(values[p]) * change[p]
     return total

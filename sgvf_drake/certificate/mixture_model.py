@@ -126,7 +126,9 @@ class Components:
     def heading(cls, strands: StrandMixture, g: FloatArray) -> "Components":
         """Returns those of strands for one intended direction, (d,)."""
         exponents, share, _ = (part[0] for part in strands.by_direction(g[None]))
-        return cls(strands.points, exponents, share[:, None] * strands.directions, strands.sigma)
+        return cls(
+            strands.points, exponents, share[:, None] * strands.directions, strands.sigma
+        )
 
     def model(self, patches: Patches) -> TaylorModel:
         """Returns the models (n, d + f) of the score, and of the mean of the pulls."""

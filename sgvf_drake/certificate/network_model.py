@@ -102,7 +102,9 @@ def affine(
     largest = units.magnitude.max(axis=1, keepdims=True)
     rounding = gamma * (largest * size.sum(axis=1) + np.abs(bias)) + TINY
     n, parts, inputs = units.parts.shape
-    mapped = (units.parts.reshape(-1, inputs) @ weight.T).reshape(n, parts, len(bias))
+    # Products with a matrix in the order of its memory are half as fast again.
+    across = np.ascontiguousarray(weight.T)
+    mapped = (units.parts.reshape(-1, inputs) @ across).reshape(n, parts, len(bias))
     mapped[:, 0] += bias
     remainder = (1 + gamma) * (units.remainder @ size.T) + rounding
     return TaylorModel(mapped, remainder), rounding

@@ -121,7 +121,9 @@ def is_trapping(field: GuidingField, annulus: Annulus) -> tuple[bool, int]:
         side = Patches.segments(start, end)
         step = side.axes[:, :, 0]
         with np.errstate(over="ignore", invalid="ignore"):
-            outward = model_field(field, side).weighted(np.column_stack([step[:, 1], -step[:, 0]]))
+            outward = model_field(field, side).weighted(
+                np.column_stack([step[:, 1], -step[:, 0]])
+            )
         segments += len(side)
         still = ~(outward.upper[:, 0] < 0)
         if not still.any():
