@@ -36,12 +36,13 @@ def rate_across(dual: DualModel) -> FloatArray:
     # normal to that.
     frame = np.linalg.qr(np.nan_to_num(m)[:, :, None], mode="complete")[0]
     t, E = frame[:, :, :1], frame[:, :, 1:]
-    tilt = np.where(m_off < length / 2, (1 + ROUNDING) * m_off / (length - m_off), np.inf)
+    known = m_off < length / 2
+    tilt = np.where(known, (1 + ROUNDING) * m_off / np.where(known, length - m_off, 1.0), 1.0)
     mixed = np.linalg.norm(S @ t, axis=(1, 2))
     rate = _largest(E.swapaxes(1, 2) @ S @ E) + (2 * tilt + tilt**2) * mixed
     # That times |y|^2 is the form, and |v|^2 is up to 1 + tilt^2 times as much.
     rate = np.where(rate < 0, rate / (1 + tilt**2), rate)
-    return np.asarray(rate + off)
+    return np.where(known, rate + off, np.inf)
 
 
 def _symmetric_part(dual: DualModel) -> tuple[FloatArray, FloatArray]:
@@ -56,7 +57,7 @@ def _symmetric_part(dual: DualModel) -> tuple[FloatArray, FloatArray]:
 
 def _largest(S: FloatArray) -> FloatArray:
     """Returns the largest eigenvalues of symmetric matrices; NaN where one is not finite."""
-    finite = np.isfinite(S).all(axis=(1, 2))
+    finite = np.asarray(np.isfinite(S).all(axis=(1, 2)))
     values = np.linalg.eigvalsh(np.where(finite[:, None, None], S, 0.0))[:, -1]
     return np.where(finite, values, np.nan)
 

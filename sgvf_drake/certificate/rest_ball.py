@@ -1,8 +1,8 @@
 """Balls in which a vehicle comes to rest, and their proof.
 
-Let (v . J v) <= -rate |v|^2 all over a ball about c, with a rate above zero.  Then two orbits in
-it come together as exp(-rate t), and on its border m goes inward at rate * radius - |m(c)| at
-least.  Where that is above zero, no orbit leaves the ball, so that it holds a zero of m
+Let (v . J v) <= -rate |v|^2 all over a ball about c, with a rate above zero.  Then two orbits
+in it come together as exp(-rate t), and on its border m goes inward at rate * radius - |m(c)|
+at least.  Where that is above zero, no orbit leaves the ball, so that it holds a zero of m
 (Brouwer), which is the only one and to which all orbits from the ball lead.
 """
 

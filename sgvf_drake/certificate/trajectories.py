@@ -102,7 +102,7 @@ def _rate(field: BoundedField) -> Rate:
 
 
 def _return_to(place: FloatArray, normal: FloatArray) -> Event:
-    """Returns the event that an orbit from a place passes the plane there once more, near it."""
+    """Returns the event that an orbit from a place passes it once more, in that direction."""
 
     def passed(t: float, z: FloatArray) -> float:
         off = z - place

@@ -62,7 +62,7 @@ LARGEST = 2**31
 """No number is larger, in ticks: all is within eight normalised units."""
 
 # A cell is halved until the bounds of the time that it takes are so close, relative to the
-# upper one, and with each time that it is halved twice as far apart; or so often.
+# upper one, after each time that it is halved twice as far apart, or so often.
 CLOSE, FOR_TIME = 0.01, 4
 # Cells on which the rate of contraction may be positive are halved so often.
 FOR_RATE = 3
@@ -120,14 +120,18 @@ class Tube:
         sections = tuple(
             tuple(tuple(map(_ticks, row)) for row in section) for section in body["sections"]
         )
-        closed, rest = body["closed"], body["rest"]
+        closed = body["closed"]
+        rest = None if body["rest"] is None else RestBall.of(body["rest"])
         if not isinstance(closed, bool):
             raise TypeError(f"closed must be true or false, not {closed!r}")
         if len(sections) < 3:
             raise ValueError(f"a tube has three sections or more, not {len(sections)}")
-        if np.array(sections).shape[1:] != (len(sections[0]),) * 2:
+        dim = len(sections[0])
+        if dim < 2 or np.array(sections).shape[1:] != (dim, dim):
             raise ValueError("each section must have d rows of d numbers")
-        return cls(sections, closed, None if rest is None else RestBall.of(rest))
+        if rest is not None and (closed or len(rest.center) != dim):
+            raise ValueError(f"a tube that is open in {dim}-D cannot end in {rest}")
+        return cls(sections, closed, rest)
 
     @property
     def rows(self) -> FloatArray:
@@ -297,15 +301,17 @@ def _ask_time(field: BoundedField, parts: Parts, depth: int) -> Answer:
     volume, flux = N.dot(along), N.dot(model_field(field, patches))
     refuted = (volume.upper[:, 0] <= 0) | (flux.upper[:, 0] <= 0)
     onward = (volume.lower[:, 0] > 0) & (flux.lower[:, 0] > 0)
-    facts = np.full((len(parts), 4), np.nan)
+    facts, reducible = np.full((len(parts), 4), np.nan), np.zeros(len(parts))
     if onward.any():
         volume, flux = volume[onward], flux[onward]
         times = volume.scaled(2.0) * flux.apply(RECIPROCAL, least=float(flux.lower.min()))
         bounds = np.concatenate([np.maximum(times.lower, 0), times.upper], axis=1)
         facts[onward] = np.concatenate([bounds, 2**depth * bounds], axis=1)
-    low, high = facts[:, LOW], facts[:, HIGH]
-    decided = onward & ((high - low <= 2**depth * CLOSE * high) | (depth >= FOR_TIME))
-    return Answer(decided, refuted, facts)
+        # How the time changes across the tube stays, however often a cell is halved.
+        across = 2 * np.abs(times.slopes[:, 1 : 1 + len(columns), 0]).sum(axis=1)
+        reducible[onward] = bounds[:, HIGH] - bounds[:, LOW] - across
+    enough = reducible <= 2**depth * CLOSE * facts[:, HIGH]
+    return Answer(onward & (enough | (depth >= FOR_TIME)), refuted, facts)
 
 
 def normal(columns: Sequence[TaylorModel]) -> TaylorModel:

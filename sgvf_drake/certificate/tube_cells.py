@@ -43,11 +43,17 @@ class Parts:
 
     def wall(self, column: int, side: int) -> "Parts":
         """Returns the parts where one s_j is 1 or -1: a column of A goes to the middle."""
-        rows = (self.start, self.end)
-        moved = (row[:, :1] + side * row[:, column : column + 1] for row in rows)
-        others = (np.delete(row, (0, column), axis=1) for row in rows)
-        ends = (np.concatenate(pair, axis=1) for pair in zip(moved, others, strict=True))
-        return Parts(*ends, self.cell)
+        start, end = (
+            np.concatenate(
+                [
+                    rows[:, :1] + side * rows[:, column : column + 1],
+                    np.delete(rows, (0, column), axis=1),
+                ],
+                axis=1,
+            )
+            for rows in (self.start, self.end)
+        )
+        return Parts(start, end, self.cell)
 
     def models(self) -> tuple[Patches, list[TaylorModel]]:
         """Returns patches that hold all F(t, s), and the models of T, S_1, ... over them.
