@@ -58,8 +58,8 @@ TICK = 2.0**-28
 halves of whole numbers of it are exact in float64, so that neighbouring cells meet to the last
 bit, and so do the parts that they are divided into."""
 
-LARGEST = 2**31
-"""No number is larger, in ticks: all is within eight normalised units."""
+LARGEST = 2**32
+"""No number is larger, in ticks: all is within sixteen normalised units."""
 
 # A cell is halved until the bounds of the time that it takes are so close, relative to the
 # upper one, after each time that it is halved twice as far apart, or so often.
@@ -81,11 +81,24 @@ class Tube:
             columns of A, which are half the sides.
         closed: Whether the last section is followed by the first.
         rest: The ball in which an open tube ends; None: it leads to its last section only.
+
+    Raises:
+        ValueError: If there are fewer than three sections, or they are not of d rows of d whole
+            numbers up to `LARGEST`, or a closed tube has a ball, or it is of another space.
     """
 
     sections: tuple[tuple[tuple[int, ...], ...], ...]
     closed: bool
     rest: RestBall | None = None
+
+    def __post_init__(self) -> None:
+        ticks = np.array(self.sections)
+        if ticks.ndim != 3 or len(ticks) < 3 or not 2 <= ticks.shape[1] == ticks.shape[2]:
+            raise ValueError("a tube has three sections or more, each of d rows of d numbers")
+        if ticks.dtype.kind != "i" or np.abs(ticks).max() > LARGEST:
+            raise ValueError(f"sections are of whole numbers up to {LARGEST}")
+        if self.rest is not None and (self.closed or len(self.rest.center) != ticks.shape[1]):
+            raise ValueError(f"this tube does not end in {self.rest}")
 
     @classmethod
     def around(
@@ -115,23 +128,13 @@ class Tube:
         Raises:
             KeyError: If something is missing.
             TypeError: If it is not the object of a tube.
-            ValueError: If the sections are not those of a tube.
+            ValueError: If it is none, by what is said of the class.
         """
-        sections = tuple(
-            tuple(tuple(map(_ticks, row)) for row in section) for section in body["sections"]
-        )
-        closed = body["closed"]
+        sections = tuple(tuple(map(tuple, section)) for section in body["sections"])
         rest = None if body["rest"] is None else RestBall.of(body["rest"])
-        if not isinstance(closed, bool):
-            raise TypeError(f"closed must be true or false, not {closed!r}")
-        if len(sections) < 3:
-            raise ValueError(f"a tube has three sections or more, not {len(sections)}")
-        dim = len(sections[0])
-        if dim < 2 or np.array(sections).shape[1:] != (dim, dim):
-            raise ValueError("each section must have d rows of d numbers")
-        if rest is not None and (closed or len(rest.center) != dim):
-            raise ValueError(f"a tube that is open in {dim}-D cannot end in {rest}")
-        return cls(sections, closed, rest)
+        if not isinstance(body["closed"], bool):
+            raise TypeError(f"closed must be true or false, not {body['closed']!r}")
+        return cls(sections, body["closed"], rest)
 
     @property
     def rows(self) -> FloatArray:
@@ -144,14 +147,6 @@ class Tube:
         """The largest distance of a corner of a section from its middle."""
         rows = self.rows
         return float(np.linalg.norm(_corners(rows) - rows[:, :1], axis=2).max())
-
-
-def _ticks(number: Any) -> int:
-    if type(number) is not int:
-        raise TypeError(f"a section is of whole numbers, not {number!r}")
-    if abs(number) > LARGEST:
-        raise ValueError(f"{number} ticks are outside of what is bounded")
-    return number
 
 
 def _corners(rows: FloatArray) -> FloatArray:

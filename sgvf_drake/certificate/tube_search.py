@@ -29,6 +29,9 @@ FINE, FINE_TURN, FIRST = 1 / 32, 1 / 64, 1 / 64
 SHARE, LONGEST = 1.0, 0.25
 # Inflows that are tried.  A wider tube has fewer cells, and looser bounds of the time.
 INFLOWS = (0.08, 0.04, 0.02, 0.01)
+# Of an orbit to which m attracts, the half-width for an inflow of one is no more than this, in
+# U: distances shrink by a tenth of |m| / U and faster.
+WIDEST = 10.0
 # How far the bounds of the time may be from their middle, relative to it, for the first tube to
 # be taken.
 SPREAD = 0.02
@@ -67,9 +70,14 @@ class Course:
         growth[:, off] = np.abs(growth[:, off])
         return cls(orbit, times, z, m, frame, growth)
 
+    @property
+    def holds_together(self) -> bool:
+        """Whether there are widths: they are above zero where m attracts to the orbit."""
+        return bool((self._widths > 0).all() and self._widths.max() < WIDEST)
+
     @cached_property
-    def _unit_axes(self) -> FloatArray:
-        """E times the half-widths for an inflow of one, (n + 1, d, d - 1).
+    def _widths(self) -> FloatArray:
+        """The half-widths for an inflow of one, (n + 1, d - 1).
 
         The last widths are the first: an open orbit, too, begins as wide as it ends.
         """
@@ -82,7 +90,11 @@ class Course:
         )
         now = bsr_array((blocks, each, range(n + 1)))
         w = spsolve((now - before).tocsc(), np.repeat(step, r)).reshape(n, r)
-        return self.frame * np.concatenate([w[-1:], w])[:, None]
+        return np.concatenate([w[-1:], w])
+
+    def _axes(self, inflow: float) -> FloatArray:
+        """Returns A for an inflow, (n + 1, d, d - 1)."""
+        return inflow * self.frame * self._widths[:, None]
 
     def sections(self, inflow: float) -> FloatArray:
         """Returns times of sections, from 0 to the end.
@@ -90,7 +102,7 @@ class Course:
         They are so close that the walls turn by less than the angle at which m crosses them,
         and no farther apart than is told.
         """
-        axes = inflow * self._unit_axes
+        axes = self._axes(inflow)
         signs = np.array(list(product((-1.0, 1.0), repeat=axes.shape[2])))
         edges = self.points[:, None] + signs @ axes.swapaxes(1, 2)
         sides = np.diff(edges, axis=0)
@@ -105,7 +117,7 @@ class Course:
         """Returns the tube of an inflow with sections at some times, from 0 to the end."""
         if self.orbit.closed:
             times = times[:-1]
-        axes = make_interp_spline(self.times, inflow * self._unit_axes, k=1)(times)
+        axes = make_interp_spline(self.times, self._axes(inflow), k=1)(times)
         return Tube.around(
             self.orbit.at(times).T, axes, closed=self.orbit.closed, rest=self.orbit.rest
         )
@@ -185,6 +197,8 @@ def find_tube(field: BoundedField, points: FloatArray, *, closed: bool) -> Found
     if orbit is None:
         return None
     course = Course.along(field, orbit)
+    if not course.holds_together:
+        return None
     found = None
     for inflow in INFLOWS:
         tighter = _refined(field, course, inflow)

@@ -170,7 +170,7 @@ def shifted(rows):
 
 
 def wide(rows):
-    rows[:, 1:] *= 256
+    rows[:, 1:] *= 260
 
 
 def shrunk(rows):
@@ -267,8 +267,11 @@ def body():
     [
         ("closed", 1, TypeError),
         ("sections", [[[0, 0], [0, 1]]] * 2, ValueError),
-        ("sections", [[[0, 0], [0, 1.0]]] * 3, TypeError),
-        ("sections", [[[0, 0], [0, True]]] * 3, TypeError),
+        ("sections", [[[0, 0], [0, 1.0]]] * 3, ValueError),
+        ("sections", [[[True, True], [True, True]]] * 3, ValueError),
+        ("sections", [[[0, 0], [0, "1"]]] * 3, ValueError),
+        ("sections", [[[0, 0], [0, 2**70]]] * 3, ValueError),
+        ("sections", 3, TypeError),
         ("sections", [[[0, 0], [0, LARGEST + 1]]] * 3, ValueError),
         ("sections", [[[0, 0]]] * 3, ValueError),
         ("sections", [[[0, 0], [0, 1]], [[0, 0]], [[0, 0], [0, 1]]], ValueError),
