@@ -98,7 +98,7 @@ def ranges(parts: FloatArray, remainder: FloatArray) -> FloatArray:
             rounding = SLACK * abs(value)
             low[j] = value - ((1 + SLACK) * (linear[j] + (low[j] + rest)) + rounding)
             high[j] = value + ((1 + SLACK) * (linear[j] + (high[j] + rest)) + rounding)
-            size[j] = abs(value) + (1 + SLACK) * (linear[j] + curved[j])
+            size[j] = (1 + SLACK) * (abs(value) + linear[j] + curved[j])
     return found
 
 
