@@ -13,7 +13,7 @@ from scipy.special import erf
 
 from sgvf_drake.arrays import FloatArray
 from sgvf_drake.certificate import kernels
-from sgvf_drake.certificate.kernels import LIBRARY, TINY, UNIT
+from sgvf_drake.certificate.kernels import TINY, UNIT
 from sgvf_drake.certificate.taylor_model import Expansion, Univariate
 from sgvf_drake.exceptions import ConfigurationError
 

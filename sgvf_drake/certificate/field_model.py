@@ -71,7 +71,9 @@ class Algebra(Generic[Model]):
         m, rest = compose(base.composition, S, N), base.rest
         if rest is None:
             return m
-        return m + self._nearness(rest, patches) * (compose(rest.composition, S, N) - m)
+        away = self._away(rest, patches)
+        # Not as m + near (at_rest - m), which would count the remainder of m twice.
+        return away * m + _one_less(away) * compose(rest.composition, S, N)
 
     def score_and_tangent(self, field: BoundedField, patches: Patches) -> tuple[Model, Model]:
         """Returns the models of the raw score S and of the tangent N as it comes."""
@@ -107,13 +109,16 @@ class Algebra(Generic[Model]):
             factors = factors / 2
         return output.scaled(factors)
 
-    def _nearness(self, rest: Rest, patches: Patches) -> Model:
-        """Returns the model (n, 1) of how near an end is; see `Rest.weight`."""
+    def _away(self, rest: Rest, patches: Patches) -> Model:
+        """Returns the model (n, 1) of how far from the ends it is, 1 less `Rest.weight`."""
         offsets = [self.position(patches).shifted(-end) for end in rest.ends]
         factor = 1 / (2 * rest.width**2)
         bumps = [x.dot(x).scaled(factor).apply(DECAY, least=0.0) for x in offsets]
-        away = reduce(mul, [bump.scaled(-1.0).shifted(1.0) for bump in bumps])
-        return away.scaled(-1.0).shifted(1.0)
+        return reduce(mul, map(_one_less, bumps))
+
+
+def _one_less(model: Model) -> Model:
+    return model.scaled(-1.0).shifted(1.0)
 
 
 TAYLOR = Algebra(TaylorModel.position, model_network, Components.model)

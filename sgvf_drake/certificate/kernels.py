@@ -98,7 +98,7 @@ def ranges(parts: FloatArray, remainder: FloatArray) -> FloatArray:
             rounding = SLACK * abs(value)
             low[j] = value - ((1 + SLACK) * (linear[j] + (low[j] + rest)) + rounding)
             high[j] = value + ((1 + SLACK) * (linear[j] + (high[j] + rest)) + rounding)
-            size[j] = abs(value) + (1 + SLACK) * (linear[j] + curved[j])
+            size[j] = (1 + SLACK) * (abs(value) + linear[j] + curved[j])
     return found
 
 
@@ -336,17 +336,18 @@ def tilted_means(
         for p in range(count):
             logarithms[p] = exponents[p] - _square(points[p], centers[i]) / (2 * variance)
         m = _select(points, values, centers[i], axes[i], variance, logarithms, F, reach)
-        l, w, t, g = logarithms[:m], weights[:m], tilts[:m], grown[:m]
-        top, farthest = _weigh(l, w)
+        logs, w, t, g = logarithms[:m], weights[:m], tilts[:m], grown[:m]
+        top, farthest = _weigh(logs, w)
         _centre(F, size, w, parts[i, 0], base)
         _project(F, size, axes[i], variance, b, t)
         if products:
             _multiply(F, size, w, parts[i, 0], d, reach)
         _cumulants(F, b, w, parts[i])
-        # Weights are off by the roundings of their exponents.
-        off = UNIT * (8 * (abs(top) + 2 * largest + UNDERFLOW) + 4 * (count + 2 * LIBRARY))
+        # Weights are off by the roundings of their exponents, and by those of their sum.
+        exponent = abs(top) + 2 * largest + farthest
+        off = UNIT * (16 * exponent + 4 * (count + 2 * LIBRARY))
         error = 32 * UNIT * farthest + off * (1 + (w * t).sum())
-        sum_grown = _grow(b, t, l, error, g)
+        sum_grown = _grow(b, t, logs, error, g)
         _rests(F, size, b, t, w, g, sum_grown, off, remainder[i])
         for c in range(columns):
             remainder[i, c] += 4 * count * np.exp(NEGLIGIBLE + 1) * reach[c]
@@ -559,7 +560,7 @@ def _rests(
             tilt += abs(b[j, p])
         a[p] = tilt
         # Weights change by a factor between exp(-tilt) / Z and exp(tilt).
-        shrunk = weights[p] * max(1 - tilt, 0.0) / sum_grown
+        shrunk = weights[p] * np.exp(-tilt) / sum_grown
         change[p] = max(grown[p] - weights[p], weights[p] - shrunk)
     for j in range(k):
         a += _moved(b[j], change)
@@ -576,7 +577,7 @@ def _rests(
             fourth += once * a[p] ** 2
             rounding += grown[p] * size[c, p] * (1 + tilts[p] + tilts[p] ** 2)
         rest = (fourth + 3 * first * square) / 6
-        remainder[c] = (1 + SLACK) * rest + 8 * off * rounding * (1 + spread) + TINY
+        remainder[c] = (1 + SLACK) * rest + 4 * off * rounding * (1 + spread) + TINY
 
 
 @accumulating_part

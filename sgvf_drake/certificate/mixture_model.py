@@ -1,10 +1,10 @@
 """Gaussian mixtures over patches: bounds of V, models of scores and of what strands pull along.
 
-All are means by weights w_i(x) proportional to exp(-|x - x_i|^2 / 2 sigma^2): the score is S =
-(m - x) / sigma^2 with the mean m of the x_i, and grad V = -S.  Along a step A u the weights are
-tilted by exp(a_i), a_i = (A u) . (x_i - m) / sigma^2, so that the mean of any F_i is a series of
-the joint cumulants of F_i and so many a_i.  Its derivatives are covariances of F_i with x_i, and
-so means of products less products of means.
+All are means by weights w_i(x) proportional to exp(-|x - x_i|^2 / 2 sigma^2): the score is
+S = (m - x) / sigma^2 with the mean m of the x_i, and grad V = -S.  Along a step A u the weights
+are tilted by exp(a_i), a_i = (A u) . (x_i - m) / sigma^2, so that the mean of any F_i is a
+series of the joint cumulants of F_i and so many a_i.  Its derivatives are covariances of F_i
+with x_i, and so means of products less products of means.
 """
 
 from dataclasses import dataclass, replace

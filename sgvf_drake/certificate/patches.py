@@ -1,4 +1,4 @@
-"""Affine patches of space: the segments, faces, squares and cubes over which fields are bounded."""
+"""Affine patches of space, over which fields are bounded: segments, faces, squares, cubes."""
 
 from dataclasses import dataclass
 

@@ -130,7 +130,7 @@ def enclose_zeros(field: GuidingField, part: PartName = "guiding") -> ZeroList:
     check_position_alone(field)
     if field.dim != 2:
         raise ConfigurationError(f"zeros are enclosed of planar fields, not in {field.dim}-D")
-    if not has_dual(field):
+    if len(field.ends) or not has_dual(field):
         raise ConfigurationError("zeros are enclosed of smooth fields of closed paths only")
     function = _Part(field, part)
     rounding = SLACK * (HALF_WIDTH + np.abs(field.cloud.center).max() / field.cloud.unit_length)
@@ -174,12 +174,8 @@ class _Part:
 
     def _in(self, algebra: Algebra[Model], patches: Patches) -> Model:
         S, N = algebra.score_and_tangent(self.field, patches)
-        match self.name:
-            case "score":
-                return S
-            case "tangent":
-                return N
-        return simplify(self.field.composition, S, N)
+        parts = {"score": S, "tangent": N}
+        return parts.get(self.name) or simplify(self.field.composition, S, N)
 
 
 @dataclass(frozen=True, eq=False)

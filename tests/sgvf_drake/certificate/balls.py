@@ -69,6 +69,7 @@ OF_A_SQUARE = {
     "squash": root_of(lambda r: arb(1) if r == 0 else r.tanh() / r),
     "sech of root": root_of(lambda r: r.sech()),
     "inverse sinhc": root_of(lambda r: arb(1) if r == 0 else r / r.sinh()),
+    "decay": lambda u: (-u).exp(),
 }
 """A function of sqrt u, at u >= 0."""
 
@@ -77,6 +78,7 @@ SLOPES_OF_A_SQUARE = {
     "squash": root_of(lambda r: (r.sech() ** 2 - r.tanh() / r) / (2 * r**2)),
     "sech of root": root_of(lambda r: -r.sech() * r.tanh() / (2 * r)),
     "inverse sinhc": root_of(lambda r: (1 - r * r.coth()) / (2 * r * r.sinh())),
+    "decay": lambda u: -(-u).exp(),
 }
 """Its derivative, by u, at u > 0."""
 

@@ -7,8 +7,8 @@ import pytest
 
 from sgvf_drake.certificate import enclose_zeros
 from sgvf_drake.certificate.boxes import Boxes, Division
-from sgvf_drake.certificate.field_model import model_field, model_score, simplify
-from sgvf_drake.certificate.network_model import model_network
+from sgvf_drake.certificate.field_model import TAYLOR, model_field, simplify
+from sgvf_drake.certificate.patches import Patches
 from sgvf_drake.certificate.zeros import HALF_WIDTH, _distinct, _grid, proved_winding_number
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import NormalisedComposition, Perceptron
@@ -156,9 +156,9 @@ def test_a_direction_has_the_zeros_of_the_sum(make_field):
 @pytest.mark.parametrize("recipe", ["robust", "paper"])
 def test_what_is_bounded_is_a_positive_multiple_of_m(make_field, recipe):
     field = make_field(recipe)
-    boxes = Boxes(np.random.default_rng(3).uniform(-5, 5, (50, 2)), np.zeros(50))
-    S, N = model_score(field.score_model, boxes), model_network(field.tangent_network, boxes)
-    multiple, m = simplify(field.composition, S, N).value, model_field(field, boxes).value
+    points = Patches.points(np.random.default_rng(3).uniform(-5, 5, (50, 2)))
+    S, N = TAYLOR.score_and_tangent(field, points)
+    multiple, m = simplify(field.composition, S, N).value, model_field(field, points).value
     cross = multiple[:, 0] * m[:, 1] - multiple[:, 1] * m[:, 0]
     lengths = np.linalg.norm(multiple, axis=1) * np.linalg.norm(m, axis=1)
     assert np.abs(cross).max() < 1e-12 * lengths.max()
