@@ -124,6 +124,21 @@ def test_m_points_inward_on_the_walls(case):
         assert (side * rates[..., 1 + column] < 0).all()
 
 
+@pytest.mark.parametrize("name", ["planar", "spatial", "trained"])
+def test_the_contraction_is_no_stronger_than_on_the_orbit(name, request):
+    """The bound of the integral over a lap, beside the integral along the orbit itself."""
+    field, found = request.getfixturevalue(name)
+    orbit = found.orbit
+    times = np.linspace(0, orbit.duration, 4001)
+    m, J = field.value_and_jacobian(field.cloud.denormalize(orbit.at(times).T))
+    J *= field.cloud.unit_length
+    rates = np.trace(J, 0, 1, 2)
+    if field.dim == 3:
+        E = np.linalg.svd(m[:, None])[2][:, 1:].swapaxes(1, 2)
+        rates = np.linalg.eigvalsh(E.swapaxes(1, 2) @ (J + J.swapaxes(1, 2)) @ E)[:, -1] / 2
+    assert np.trapezoid(rates, times) < found.proof.contraction < 0
+
+
 def test_the_rate_of_a_rotation_is_told_by_the_lap(planar):
     """The field turns with |m| about one on a circle of radius 4 normalised units."""
     proof = planar[1].proof
