@@ -202,9 +202,12 @@ def prove_tube(field: BoundedField, tube: Tube) -> TubeProof:
     Raises:
         ConfigurationError: If the field is of a kind that nothing bounds.
         RuntimeError: If the process does not round to nearest.
+        ValueError: If the tube is not in the space of the field.
     """
     check_rounding()
     rows = tube.rows
+    if rows.shape[1] != field.dim:
+        raise ValueError(f"a tube in {rows.shape[1]}-D is none of a field in {field.dim}-D")
     cells = Parts(rows[:-1], rows[1:], np.arange(len(rows) - 1))
     # What overflows is not below any bound.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -305,8 +308,8 @@ def _ask_time(field: BoundedField, parts: Parts, depth: int) -> Answer:
         # How the time changes across the tube stays, however often a cell is halved.
         across = 2 * np.abs(times.slopes[:, 1 : 1 + len(columns), 0]).sum(axis=1)
         reducible[onward] = bounds[:, HIGH] - bounds[:, LOW] - across
-    enough = reducible <= 2**depth * CLOSE * facts[:, HIGH]
-    return Answer(onward & (enough | (depth >= FOR_TIME)), refuted, facts)
+    enough = (reducible <= 2**depth * CLOSE * facts[:, HIGH]) | (depth >= FOR_TIME)
+    return Answer(onward & enough & np.isfinite(facts).all(axis=1), refuted, facts)
 
 
 def normal(columns: Sequence[TaylorModel]) -> TaylorModel:

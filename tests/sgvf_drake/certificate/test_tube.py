@@ -236,6 +236,11 @@ def test_a_rest_on_the_path_is_no_part_of_a_closed_tube(resting):
     assert not proof.weak[: len(found.tube.sections) - 2].any()
 
 
+def test_a_tube_of_another_space_is_an_error(planar, spatial):
+    with pytest.raises(ValueError, match="a tube in 3-D is none of a field in 2-D"):
+        prove_tube(planar[0], spatial[1].tube)
+
+
 def test_a_chain_of_two_laps_is_told(planar):
     """Its closed orbit is the same, but passes the first section twice."""
     field, found = planar
