@@ -283,8 +283,8 @@ def _ask_wall(field: BoundedField, sign: int, parts: Parts, _: int) -> Answer:
             the wall, and a change of sign for each column that m stands before.
         parts: The parts.
     """
-    patches, columns = parts.models()
-    outward = normal(columns).scaled(float(sign)).dot(model_field(field, patches))
+    N = normal(parts.columns).scaled(float(sign))
+    outward = N.dot(model_field(field, parts.patches))
     lower, upper = outward.lower[:, 0], outward.upper[:, 0]
     return Answer(upper < 0, lower >= 0, np.empty((len(parts), 0)))
 
@@ -294,9 +294,9 @@ def _ask_time(field: BoundedField, parts: Parts, depth: int) -> Answer:
 
     That is between the bounds of 2 det [T, S_1, ...] / det [m, S_1, ...].
     """
-    patches, (along, *columns) = parts.models()
+    along, *columns = parts.columns
     N = normal(columns)
-    volume, flux = N.dot(along), N.dot(model_field(field, patches))
+    volume, flux = N.dot(along), N.dot(model_field(field, parts.patches))
     refuted = (volume.upper[:, 0] <= 0) | (flux.upper[:, 0] <= 0)
     onward = (volume.lower[:, 0] > 0) & (flux.lower[:, 0] > 0)
     facts, reducible = np.full((len(parts), 4), np.nan), np.zeros(len(parts))
@@ -348,9 +348,7 @@ def _contraction(
     asked, settled = 0, 0.0
     for depth in range(FOR_RATE + 1):
         chunks = (parts[first : first + CHUNK] for first in range(0, len(parts), CHUNK))
-        rate = np.concatenate(
-            [rate_across(dual_field(field, chunk.models()[0])) for chunk in chunks]
-        )
+        rate = np.concatenate([rate_across(dual_field(field, chunk.hulls)) for chunk in chunks])
         asked += len(parts)
         integral = rate * np.where(rate > 0, bounds[:, HIGH], bounds[:, LOW])
         total = settled + integral.sum() + SLACK * len(rate) * np.abs(integral).sum()

@@ -13,6 +13,9 @@ from sgvf_drake.certificate.taylor_model import TaylorModel
 HALVINGS = 4
 # Parts that are asked about at once.
 CHUNK = 200
+# The condition number of the directions of axes from which on a cell counts as skewed, and what
+# is beyond the rounding of a linear system with a smaller one, by far.
+SKEWED, ROUNDING = 100.0, 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,24 +58,52 @@ class Parts:
         )
         return Parts(start, end, self.cell)
 
-    def models(self) -> tuple[Patches, list[TaylorModel]]:
-        """Returns patches that hold all F(t, s), and the models of T, S_1, ... over them.
+    @property
+    def patches(self) -> Patches:
+        """Patches that hold all F(t, s).
 
-        The parameters of a patch are t, s_1, ... and the products t s_1, ..., as if these could
-        be anything from -1 to 1.
+        Their parameters are t, s_1, ... and the products t s_1, ..., as if these could be
+        anything from -1 to 1.
         """
-        middle, half = (self.start + self.end) / 2, (self.end - self.start) / 2
+        middle, half = self._middle_and_half
         axes = np.concatenate([half[:, :1], middle[:, 1:], half[:, 1:]], axis=1)
-        columns = []
-        for j in range(middle.shape[1]):
-            slopes = np.zeros_like(axes)
-            if j:
-                slopes[:, 0] = half[:, j]
-            else:
-                slopes[:, 1 : middle.shape[1]] = half[:, 1:]
-            value = middle[:, j] if j else half[:, 0]
-            columns.append(TaylorModel.position(Patches(value, np.swapaxes(slopes, 1, 2))))
-        return Patches(middle[:, 0], np.swapaxes(axes, 1, 2)), columns
+        return Patches(middle[:, 0], np.swapaxes(axes, 1, 2))
+
+    @property
+    def columns(self) -> list[TaylorModel]:
+        """The models of T, S_1, ... over the patches."""
+        middle, half = self._middle_and_half
+        n, rows, dim = middle.shape
+        slopes = np.zeros((rows, n, dim, 2 * rows - 1))
+        slopes[0, :, :, 1:rows] = np.swapaxes(half[:, 1:], 1, 2)
+        slopes[1:, :, :, 0] = np.swapaxes(half[:, 1:], 0, 1)
+        values = [half[:, 0], *np.swapaxes(middle[:, 1:], 0, 1)]
+        return [
+            TaylorModel.position(Patches(value, slope))
+            for value, slope in zip(values, slopes, strict=True)
+        ]
+
+    @property
+    def hulls(self) -> Patches:
+        """Patches of d parameters alone that hold all F(t, s) of cells, and a little more.
+
+        What the products t s_j can do is added to the axes.  A cell whose axes are far from a
+        right angle has infinite ones.
+        """
+        patches, dim = self.patches, self.start.shape[2]
+        axes, products = patches.axes[:, :, :dim], patches.axes[:, :, dim:]
+        length = np.linalg.norm(axes, axis=1)
+        directions = axes / length[:, None]
+        upright = np.linalg.cond(directions) < SKEWED
+        directions = np.where(upright[:, None, None], directions, np.eye(dim))
+        added = np.abs(np.linalg.solve(directions, products)).sum(axis=2)
+        added += ROUNDING * (length + np.linalg.norm(products, axis=(1, 2))[:, None])
+        grown = axes * (1 + added / length)[:, None]
+        return Patches(patches.centers, np.where(upright[:, None, None], grown, np.inf))
+
+    @property
+    def _middle_and_half(self) -> tuple[FloatArray, FloatArray]:
+        return (self.start + self.end) / 2, (self.end - self.start) / 2
 
 
 @dataclass(frozen=True, eq=False)

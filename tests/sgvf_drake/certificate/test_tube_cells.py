@@ -33,7 +33,7 @@ def test_models_are_those_of_the_map_and_its_derivatives(dim, side):
         expected = image(whole, t, np.column_stack([np.full(20, side), s[:, 1:]]))
         s = s[:, 1:]
         assert image(parts, t, s) == pytest.approx(expected)
-    patches, columns = parts.models()
+    patches, columns = parts.patches, parts.columns
     u = np.column_stack([t, s, t[:, None] * s])
     z = patches.centers[:, None] + u @ patches.axes.swapaxes(1, 2)
     assert z == pytest.approx(image(parts, t, s))
@@ -45,6 +45,28 @@ def test_models_are_those_of_the_map_and_its_derivatives(dim, side):
         assert value == pytest.approx(change / (2 * step), abs=1e-9)
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+def test_hulls_hold_their_cells(dim):
+    rng = np.random.default_rng(dim)
+    start = np.zeros((20, dim, dim))
+    start[:, 1:] = np.diag(rng.uniform(0.01, 0.1, dim - 1)) @ np.eye(dim)[1:]
+    end = start + rng.uniform(-0.01, 0.01, start.shape)
+    end[:, 0, 0] += 0.2
+    parts = Parts(start, end, np.arange(20))
+    hulls = parts.hulls
+    t, s = rng.choice([-1.0, 1.0], 60), rng.choice([-1.0, 1.0], (60, dim - 1))
+    z = image(parts, t, s) - hulls.centers[:, None]
+    u = np.linalg.solve(hulls.axes[:, None], z[..., None])[..., 0]
+    assert np.abs(u).max() <= 1 + 1e-12
+    assert np.abs(u).max() > 0.9
+
+
+def test_a_skewed_cell_has_no_hull():
+    start, end = np.array([[[[0.0, 0.0], [0.0, 1.0]]], [[[1e-3, 5.0], [0.0, 1.0]]]])
+    parts = Parts(start, end, np.arange(1))
+    assert not np.isfinite(parts.hulls.axes).all()
+
+
 def test_halves_are_exact():
     """Sections of whole ticks, halved as often as may be, and once more in the models."""
     rng = np.random.default_rng(0)
@@ -54,7 +76,7 @@ def test_halves_are_exact():
     for _ in range(HALVINGS):
         parts = parts.halves()[len(parts) :]
         exact[0] = [(a + b) / 2 for a, b in zip(*exact, strict=True)]
-    patches, _ = parts.models()
+    patches = parts.patches
     found = [Fraction(x) / Fraction(TICK) for x in patches.centers.ravel()]
     assert found == [(a + b) / 2 for a, b in zip(*exact, strict=True)]
 
