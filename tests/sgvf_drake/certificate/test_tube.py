@@ -262,6 +262,12 @@ def test_an_orbit_that_does_not_close_has_no_tube(open_field):
     assert find_tube(open_field, points, closed=True) is None
 
 
+def test_an_orbit_that_stops_on_the_path_has_no_tube(paper_field):
+    """Fields of the paper's recipe may: on the inner circle this one has a sink."""
+    assert find_tube(paper_field, circle(2.0, 80), closed=True) is None
+    assert find_tube(paper_field, circle(4.0, 80), closed=True).proof.unique
+
+
 def test_a_path_without_an_end_does_not_rest(ring):
     assert find_tube(ring[0], circle(4.0, 80), closed=False) is None
 
