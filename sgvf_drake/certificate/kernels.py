@@ -314,7 +314,8 @@ def tilted_means(
         axes: A, (n, d, k) of the patches.
         points: x_i, (N, d).
         exponents: (N,).
-        values: (N, f) what is averaged besides x_i - c.
+        values: (N, f) what is averaged besides x_i - c; right within 64 units of roundoff of
+            one, whatever their size.
         sigma: Noise level.
         products: Whether the products of all these with each entry of x_i - c are averaged
             too, of both less their means at c.
@@ -338,7 +339,7 @@ def tilted_means(
         m = _select(points, values, centers[i], axes[i], variance, logarithms, F, reach)
         logs, w, t, g = logarithms[:m], weights[:m], tilts[:m], grown[:m]
         top, farthest = _weigh(logs, w)
-        _centre(F, size, w, parts[i, 0], base)
+        _centre(F, size, w, parts[i, 0], d, base)
         _project(F, size, axes[i], variance, b, t)
         if products:
             _multiply(F, size, w, parts[i, 0], d, reach)
@@ -428,24 +429,21 @@ def _weigh(logarithms: FloatArray, weights: FloatArray) -> tuple[float, float]:
 
 @accumulating_part
 def _centre(
-    F: FloatArray, size: FloatArray, weights: FloatArray, means: FloatArray, base: int
+    F: FloatArray, size: FloatArray, weights: FloatArray, means: FloatArray, d: int, base: int
 ) -> None:
-    """Takes the means off, and tells the sizes against which the weights are off."""
+    """Takes the means off, and tells the sizes against which the weights are off.
+
+    What comes after x_i - c is itself off by rounding, relative to one.
+    """
     for c in range(base):
-        row, sizes, mean = F[c], size[c], _mean(F[c], weights)
+        mean, least = 0.0, 0.0 if c < d else 1.0
+        for p in range(len(weights)):
+            mean += weights[p] * F[c, p]
         means[c] = mean
         for p in range(len(weights)):
-            value = row[p]
-            row[p] = value - mean
-            sizes[p] = abs(value) + abs(value - mean)
-
-
-@accumulating_part
-def _mean(values: FloatArray, weights: FloatArray) -> float:
-    total = 0.0
-    for p in range(len(weights)):
-        total += weights[p] * values[p]
-    return total
+            value = F[c, p]
+            F[c, p] = value - mean
+            size[c, p] = least + abs(value) + abs(value - mean)
 
 
 @accumulating_part
@@ -460,14 +458,11 @@ def _project(
     """Makes b_j = A_j . y / sigma^2, and the sizes of what all of them are summed up from."""
     b[:], tilts[:] = 0.0, 0.0
     for c in range(axes.shape[0]):
-        row, sizes = F[c], size[c]
         for j in range(axes.shape[1]):
-            factor, along = axes[c, j] / variance, b[j]
-            if factor == 0:
-                continue
+            factor = axes[c, j] / variance
             for p in range(len(tilts)):
-                along[p] += factor * row[p]
-                tilts[p] += abs(factor) * sizes[p]
+                b[j, p] += factor * F[c, p]
+                tilts[p] += abs(factor) * size[c, p]
 
 
 @accumulating_part

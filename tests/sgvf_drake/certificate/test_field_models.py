@@ -14,12 +14,21 @@ from sgvf_drake.certificate.mixture_model import Components, MixtureModel
 from sgvf_drake.certificate.network_model import model_network
 from sgvf_drake.certificate.patches import Patches
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.fields import GaussianMixture, NormalisedComposition
+from sgvf_drake.fields import GaussianMixture, NormalisedComposition, StrandMixture
 from sgvf_drake.fields.activation import ACTIVATIONS, find_activation
 from tests.sgvf_drake.fields.test_directed import field_of
 
 from .ball_fields import BallField, BallNetwork
-from .balls import assert_inside, corners, dot, mixture_at, point_of, random_patch, vector
+from .balls import (
+    assert_inside,
+    corners,
+    dot,
+    mixture_at,
+    point_of,
+    random_patch,
+    strands_at,
+    vector,
+)
 
 seeds = st.integers(0, 2**32 - 1)
 halves = st.integers(-20, 1).map(lambda exponent: 2.0**exponent)
@@ -77,6 +86,23 @@ def test_a_mixture_is_inside_of_its_models(seed, half, sigma, shape):
         if np.isfinite(gradient.remainder).all():
             assert_inside(gradient, u, slope)
             assert_inside(level, u, [value])
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_strands_across_the_intended_direction_are_inside_of_their_models(dim):
+    """There tanh(kappa T.g) is nothing but the rounding of T.g."""
+    rng = np.random.default_rng(6)
+    T, across = np.linalg.qr(rng.standard_normal((dim, dim)))[0].T[:2]
+    g = across + 1e-16 * T
+    directions = np.where(rng.integers(2, size=(20, 1)), T, -T)
+    points = rng.uniform(-1, 1, (20, dim))
+    strands = StrandMixture(points, directions, np.zeros(20, bool), 0.4)
+    assert 0 < abs(T @ g) < 1e-15
+    patch = random_patch(rng, 2.0**-20, dim, 2, spread=1.0)
+    model = Components.heading(strands, g).model(patch)
+    for u in steps(rng, patch):
+        S, N = strands_at(strands, point_of(patch, u), vector(g))
+        assert_inside(model, u, [*S, *N])
 
 
 def slopes_at(mixture, z):
