@@ -10,28 +10,32 @@ Three conditions are proved of a field m over each cell, with T = dF/dt and S_j 
 
 - det [T, S_1, ...] > 0 on the whole cell, so that F is one to one near every point of it, and
   m can be written in the coordinates (t, s) there: m = t_dot T + sum_j s_dot_j S_j;
-- det [m, S_1, ...] > 0 on the whole cell, which is t_dot > 0;
+- det [m, S_1, ...] > 0 on the whole cell, which is t_dot > 0 (both in `_ask_time`);
 - det [T, ..., m in the place of S_j, ...] is negative all over the wall s_j = 1 and positive
-  all over the wall s_j = -1, which is that m points into the cell there, also where walls meet.
+  all over the wall s_j = -1, which is that m points into the cell there, also where walls meet
+  (`_ask_wall`).
 
-An orbit that starts in a section thus stays within the walls, and passes the next section
-after a time between the integrals of the least and the greatest 1 / t_dot over t.  The point
-where it does depends continuously on the point where it started.  Nothing asks whether a cell
-overlaps another, so that knots do not matter.
+So an orbit that starts in a section stays within the walls, and passes the next section after
+a time between the integrals of the least and the greatest 1 / t_dot over t.  The place where it
+does depends continuously on the place where it started.  Neighbouring cells share a section by
+what a `Tube` is, and the end of a closed chain is its beginning.  Nothing asks whether cells
+overlap, so that knots do not matter.
 
 A closed chain maps its first section continuously into itself, so by Brouwer's theorem an
 orbit comes back to where it was: **m has a closed orbit that passes every section**.  Where no
-cell but the first and the last touch the first section, it passes that once a lap.
+cell but the first and the last touch the first section (`_passes_once`), it passes that once a
+lap; otherwise a lap of the chain may be several of the orbit.
 
 It is **the only one**, and attracts whatever enters the tube, if the return map shortens all
-curves of the section in some Riemannian metric (Banach's theorem).  With a displacement v
-normal to m along an orbit, the metric |m|^a |v| changes at the rate
-(v . J v) / |v|^2 + a (m . J m) / |m|^2, which is div m in the plane with a = 1, and at most the
-largest eigenvalue of the symmetric part of J normal to m with a = 0 (Borg).  So it is enough
-that the integral of a bound of this rate over a lap is negative.
+curves of the first section in some metric (Banach's theorem).  Let v be the part of a
+displacement that is normal to m.  Along an orbit |v| |m|^a changes at the relative rate
+(v . J v) / |v|^2 + a (m . J m) / |m|^2.  It is a metric of the section, which m crosses.  With
+a = 1 the rate is div m in the plane; with a = 0 it is at most the largest eigenvalue of the
+symmetric part of J normal to m (Borg).  So it is enough that the integral of a bound of the
+rate over a lap is negative (`_contraction`).
 
 An open chain leads from its first section to its last in bounded time.  Where the last lies in
-a `Rest`, the orbit stays there and comes to its zero.
+a `RestBall` that is proved, the orbit stays there and comes to its zero (`_ends_in_rest`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -95,7 +99,7 @@ class Tube:
         ticks = np.array(self.sections)
         if ticks.ndim != 3 or len(ticks) < 3 or not 2 <= ticks.shape[1] == ticks.shape[2]:
             raise ValueError("a tube has three sections or more, each of d rows of d numbers")
-        if ticks.dtype.kind != "i" or np.abs(ticks).max() > LARGEST:
+        if ticks.dtype.kind != "i" or ticks.max() > LARGEST or ticks.min() < -LARGEST:
             raise ValueError(f"sections are of whole numbers up to {LARGEST}")
         if self.rest is not None and (self.closed or len(self.rest.center) != ticks.shape[1]):
             raise ValueError(f"this tube does not end in {self.rest}")

@@ -296,6 +296,7 @@ def body():
         ("sections", [[[0, 0], [0, 1.0]]] * 3, ValueError),
         ("sections", [[[True, True], [True, True]]] * 3, ValueError),
         ("sections", [[[0, 0], [0, "1"]]] * 3, ValueError),
+        ("sections", [[[0, 0], [0, -(2**63)]]] * 3, ValueError),
         ("sections", [[[0, 0], [0, 2**70]]] * 3, ValueError),
         ("sections", 3, TypeError),
         ("sections", [[[0, 0], [0, LARGEST + 1]]] * 3, ValueError),
