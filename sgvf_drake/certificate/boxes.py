@@ -1,26 +1,25 @@
-"""Squares in the plane, in which sizes, and branch and bound over them."""
+"""Cubes of a dyadic grid, in which sizes, and branch and bound over them."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
 from sgvf_drake.arrays import BoolArray, FloatArray
+from sgvf_drake.certificate.patches import Patches
 from sgvf_drake.fields import GuidingField
-
-# From the centre of a square to those of its quarters, in halves of its half-side.
-QUARTERS = np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
 
 
 @dataclass(frozen=True, eq=False)
 class Boxes:
-    """n closed squares {c + d : |d_k| <= half}.
+    """n closed squares, or cubes, {c + d : |d_k| <= half} in R^d.
 
     Centres and half-sides of a dyadic grid are exact in float64, so that neighbours share
-    their sides to the last bit, and quarters cover their square.
+    their sides to the last bit, and parts cover their square.
 
     Attributes:
-        centers: c, (n, 2).
+        centers: c, (n, d).
         half: (n,) half-sides.
     """
 
@@ -33,16 +32,27 @@ class Boxes:
     def __getitem__(self, rows: BoolArray | slice) -> "Boxes":
         return Boxes(self.centers[rows], self.half[rows])
 
+    @property
+    def patches(self) -> Patches:
+        """The same, as patches whose parameters go along the coordinates."""
+        return Patches(self.centers, self.half[:, None, None] * np.eye(self.centers.shape[1]))
+
     def quarters(self) -> "Boxes":
-        """Returns the four quarters of each square, (4 n)."""
-        half = self.half / 2
-        centers = self.centers[:, None] + half[:, None, None] * QUARTERS
-        return Boxes(centers.reshape(-1, 2), np.repeat(half, len(QUARTERS)))
+        """Returns the quarters of each square, (4 n); of cubes the 2^d parts."""
+        half, dim = self.half / 2, self.centers.shape[1]
+        steps = np.array(list(product((-1.0, 1.0), repeat=dim)))
+        centers = self.centers[:, None] + half[:, None, None] * steps
+        return Boxes(centers.reshape(-1, dim), np.repeat(half, len(steps)))
 
     @classmethod
     def square(cls, half: float) -> "Boxes":
         """Returns the one square around the origin of a half-side."""
         return cls(np.zeros((1, 2)), np.array([half]))
+
+    @classmethod
+    def points(cls, points: FloatArray) -> "Boxes":
+        """Returns the squares without an extent that points (n, d) are."""
+        return cls(points, np.zeros(len(points)))
 
 
 HALF_WIDTH = 8.0

@@ -103,14 +103,15 @@ class Decrease:
         facts[:, LOW], facts[:, HIGH] = self.levels.level_range(boxes)
         inside = self._touches(facts)
         with np.errstate(over="ignore", invalid="ignore"):
-            gradient = self.levels.gradient(boxes[inside])
-            V = self.levels.level(boxes[inside], gradient)
+            patches = boxes[inside].patches
+            gradient = self.levels.gradient(patches)
+            V = self.levels.level(patches, gradient)
             facts[inside, LOW] = np.fmax(facts[inside, LOW], V.lower[:, 0])
             facts[inside, HIGH] = np.fmin(facts[inside, HIGH], V.upper[:, 0])
             still = self._touches(facts[inside])
             inside[inside] = still
             V, gradient = V[still], gradient[still]
-            m = model_field(self.field, boxes[inside])
+            m = model_field(self.field, boxes[inside].patches)
             V_dot = gradient.dot(m)
             rate = self._rate(V_dot, V)
             steepest, fastest = (
@@ -135,8 +136,8 @@ class Decrease:
         # On the rim of the band, V_dot has to be bounded on one side of the level alone: where
         # V >= c_in it is at most V_dot + k (V - c_in), for any k >= 0.  This varies least with
         # the k that takes out what V_dot and V have in common.
-        slopes = V.jacobian[..., 0]
-        common = (V_dot.jacobian[..., 0] * slopes).sum(axis=1) / (slopes**2).sum(axis=1)
+        slopes = V.slopes[..., 0]
+        common = (V_dot.slopes[..., 0] * slopes).sum(axis=1) / (slopes**2).sum(axis=1)
         rims = ((self.c_in, np.maximum(-common, 0)), (self.c_out, np.minimum(-common, 0)))
         for level, k in rims:
             on_one_side = V_dot + V.shifted(-level).weighted(k[:, None])
@@ -145,7 +146,7 @@ class Decrease:
 
     def _refute(self, z: FloatArray) -> BoolArray:
         score = self.levels.mixture.score(z)
-        V = self.levels.level_range(Boxes(z, np.zeros(len(z))))
+        V = self.levels.level_range(Boxes.points(z))
         m = self.field(self.field.cloud.denormalize(z))
         V_dot = -(score * m).sum(axis=1)
         return (V[0] >= self.c_in) & (V[1] <= self.c_out) & (V_dot > -self.alpha)
@@ -178,7 +179,7 @@ class Speed:
         facts = np.full((len(boxes), 1), np.nan)
         inside = self.levels.level_range(boxes)[0] <= self.c_in
         with np.errstate(over="ignore", invalid="ignore"):
-            m = model_field(self.field, boxes[inside])
+            m = model_field(self.field, boxes[inside].patches)
             # By the direction of m at the centre; a direction need not be exactly of length
             # one to bound |m|, but not longer.
             length = np.linalg.norm(m.value, axis=1, keepdims=True)
@@ -190,7 +191,7 @@ class Speed:
         return Answer(decided, facts, int(inside.sum()))
 
     def _refute(self, z: FloatArray) -> BoolArray:
-        _, V = self.levels.level_range(Boxes(z, np.zeros(len(z))))
+        _, V = self.levels.level_range(Boxes.points(z))
         m = self.field(self.field.cloud.denormalize(z))
         return (self.c_in >= V) & (np.linalg.norm(m, axis=1) < self.delta)
 

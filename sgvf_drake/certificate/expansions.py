@@ -17,7 +17,6 @@ from sgvf_drake.certificate.kernels import TINY, UNIT
 from sgvf_drake.certificate.taylor_model import Expansion, Univariate
 from sgvf_drake.exceptions import ConfigurationError
 
-LIBRARY = 8
 # More than the units of roundoff by which the formulas here can be off: the functions below
 # combine at most three values of the library, each of size one and off by LIBRARY units, by
 # fewer than ten operations.
@@ -366,6 +365,17 @@ def _series(coefficients: tuple[float, ...], u: FloatArray) -> FloatArray:
     return total
 
 
+def _decay(u: FloatArray) -> tuple[FloatArray, FloatArray]:
+    value = np.exp(-u)
+    return value, -value
+
+
+def _decay_curvature(u: FloatArray) -> tuple[FloatArray, FloatArray]:
+    # The exponential is off by what its argument is.
+    value, off = np.exp(-u), FORMULA * (1 + u)
+    return (1 - off) * value, (1 + off) * value
+
+
 def _reciprocal(u: FloatArray) -> tuple[FloatArray, FloatArray]:
     value = 1 / np.maximum(u, SMALLEST)
     return value, -(value**2)
@@ -375,6 +385,9 @@ def _reciprocal_curvature(u: FloatArray) -> tuple[FloatArray, FloatArray]:
     curvature = 2 * np.maximum(u, SMALLEST) ** -3
     return (1 - FORMULA) * curvature, (1 + FORMULA) * curvature
 
+
+DECAY = Convex(_decay, _decay_curvature)
+"""exp(-u)."""
 
 RECIPROCAL = Convex(_reciprocal, _reciprocal_curvature)
 """1 / u."""

@@ -1,9 +1,15 @@
-"""Guiding fields over squares: models of m from those of its score and its tangent network."""
+"""Guiding fields over patches: models of m from those of its score and its tangent."""
 
-from typing import TypeVar
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import reduce
+from operator import mul
+from typing import Generic
 
-from sgvf_drake.certificate.boxes import Boxes
+import numpy as np
+
 from sgvf_drake.certificate.expansions import (
+    DECAY,
     FALL,
     INVERSE_ROOT,
     INVERSE_SINHC,
@@ -11,17 +17,23 @@ from sgvf_drake.certificate.expansions import (
     SQUASH,
     find_expansion,
 )
-from sgvf_drake.certificate.mixture_model import MixtureModel, dual_mixture
+from sgvf_drake.certificate.mixture_model import Components
 from sgvf_drake.certificate.network_model import dual_network, model_network
-from sgvf_drake.certificate.taylor_model import Differentiable, DualModel, TaylorModel
+from sgvf_drake.certificate.patches import Patches
+from sgvf_drake.certificate.taylor_model import Differentiable, DualModel, Model, TaylorModel
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import (
+    ComposedField,
+    DirectedField,
     GaussianMixture,
-    GuidingField,
+    HeldField,
     NormalisedComposition,
     PaperComposition,
+    Perceptron,
     RobustComposition,
     ScoreNetwork,
+    StrandMixture,
+    StrandNetwork,
 )
 from sgvf_drake.fields.composition import (
     DIRECTION_SOFTENING,
@@ -30,62 +42,124 @@ from sgvf_drake.fields.composition import (
     UNIT_SOFTENING,
     Composition,
 )
+from sgvf_drake.fields.rest import Rest
 
 assert PROJECTION_POWER == 8, "FALL is not the projection's power of |S|^2"
 
+BoundedField = ComposedField | HeldField
+"""The fields of the position alone that are bounded; of directed ones those at a constant g."""
 
-def model_field(field: GuidingField, boxes: Boxes) -> TaylorModel:
-    """Returns the models of m, (n, 2), over squares in the field's normalised units.
+
+@dataclass(frozen=True)
+class Algebra(Generic[Model]):
+    """What fields are composed of, in one kind of model: with derivatives, or without.
+
+    Attributes:
+        position: The coordinates, over patches.
+        network: The outputs of a network, with the values of the inputs after the position.
+        components: The score and the pulls of a mixture.
+    """
+
+    position: Callable[[Patches], Model]
+    network: Callable[[Perceptron, Patches, tuple[float, ...]], Model]
+    components: Callable[[Components, Patches], Model]
+
+    def field(self, field: BoundedField, patches: Patches) -> Model:
+        """Returns the models of m."""
+        S, N = self.score_and_tangent(field, patches)
+        base = field.field if isinstance(field, HeldField) else field
+        m, rest = compose(base.composition, S, N), base.rest
+        if rest is None:
+            return m
+        away = self._away(rest, patches)
+        # Not as m + near (at_rest - m), which would count the remainder of m twice.
+        return away * m + _one_less(away) * compose(rest.composition, S, N)
+
+    def score_and_tangent(self, field: BoundedField, patches: Patches) -> tuple[Model, Model]:
+        """Returns the models of the raw score S and of the tangent N as it comes."""
+        match field:
+            case ComposedField():
+                N = self.network(field.tangent_network, patches, ())
+                return self.score(field.score_model, patches), N
+            case HeldField() if field.g.ndim == 1:
+                both, d = self._strands(field, patches), field.dim
+                return both.functions(slice(d)), both.functions(slice(d, None))
+        raise ConfigurationError(
+            f"nothing bounds a {type(field).__name__}: of guiding fields those of the position "
+            "alone are bounded, and directed ones that are held at one intended direction"
+        )
+
+    def score(self, score: ScoreNetwork | GaussianMixture, patches: Patches) -> Model:
+        """Returns the models of the raw score S."""
+        if isinstance(score, GaussianMixture):
+            return self.components(Components.of(score), patches)
+        return self.network(score.network, patches, (1.0,)).scaled(1 / score.scale)
+
+    def _strands(self, field: HeldField, patches: Patches) -> Model:
+        """Returns the models (n, 2d) of S and N of directed strands."""
+        strands, g = field.field.strands, field.g
+        if isinstance(strands, StrandMixture):
+            return self.components(Components.heading(strands, g), patches)
+        factors = np.repeat([1 / strands.sigma, 1.0], field.dim)
+        output = self.network(strands.network, patches, tuple(g))
+        if strands.two_way:
+            # The even part of the score, and the odd one of the tangent.
+            mirrored = self.network(strands.network, patches, tuple(-g))
+            output = output + mirrored.scaled(np.repeat([1.0, -1.0], field.dim))
+            factors = factors / 2
+        return output.scaled(factors)
+
+    def _away(self, rest: Rest, patches: Patches) -> Model:
+        """Returns the model (n, 1) of how far from the ends it is, 1 less `Rest.weight`."""
+        offsets = [self.position(patches).shifted(-end) for end in rest.ends]
+        factor = 1 / (2 * rest.width**2)
+        bumps = [x.dot(x).scaled(factor).apply(DECAY, least=0.0) for x in offsets]
+        return reduce(mul, map(_one_less, bumps))
+
+
+def _one_less(model: Model) -> Model:
+    return model.scaled(-1.0).shifted(1.0)
+
+
+TAYLOR = Algebra(TaylorModel.position, model_network, Components.model)
+DUAL = Algebra(DualModel.position, dual_network, Components.dual)
+
+
+def model_field(field: BoundedField, patches: Patches) -> TaylorModel:
+    """Returns the models of m, (n, d), over patches in the field's normalised units.
 
     Raises:
         ConfigurationError: The field is of a kind that nothing here bounds.
     """
-    if len(field.ends):
-        raise ConfigurationError("fields with terminal ends are not bounded yet")
-    N = model_network(field.tangent_network, boxes)
-    return compose(field.composition, model_score(field.score_model, boxes), N)
+    return TAYLOR.field(field, patches)
 
 
-def model_score(score: ScoreNetwork | GaussianMixture, boxes: Boxes) -> TaylorModel:
-    """Returns the models of the raw score S."""
-    if isinstance(score, GaussianMixture):
-        return MixtureModel(score).gradient(boxes).scaled(-1.0)
-    return model_network(score.network.with_last_input(1.0), boxes).scaled(1 / score.scale)
-
-
-def has_dual(field: GuidingField) -> bool:
-    """Whether `dual_field` bounds the derivatives of a field."""
-    networks = [field.tangent_network]
-    if isinstance(field.score_model, ScoreNetwork):
-        networks.append(field.score_model.network)
-    return not len(field.ends) and all(
-        isinstance(find_expansion(network.activation.name), Differentiable)
-        for network in networks
-    )
-
-
-def dual_field(field: GuidingField, boxes: Boxes) -> DualModel:
+def dual_field(field: BoundedField, patches: Patches) -> DualModel:
     """Returns the models of m and of its derivatives, by normalised units of length.
 
     Raises:
         ConfigurationError: The field is of a kind whose derivatives nothing here bounds.
     """
-    if not has_dual(field):
-        raise ConfigurationError(
-            "only derivatives of smooth fields of closed paths are bounded"
-        )
-    S = dual_score(field.score_model, boxes)
-    return compose(field.composition, S, dual_network(field.tangent_network, boxes))
+    return DUAL.field(field, patches)
 
 
-def dual_score(score: ScoreNetwork | GaussianMixture, boxes: Boxes) -> DualModel:
-    """Returns the models of the raw score S and of its derivatives."""
-    if isinstance(score, GaussianMixture):
-        return dual_mixture(score, boxes)
-    return dual_network(score.network.with_last_input(1.0), boxes).scaled(1 / score.scale)
+def has_dual(field: BoundedField) -> bool:
+    """Whether `dual_field` bounds the derivatives of a field: its activations are smooth."""
+    return all(
+        isinstance(find_expansion(network.activation.name), Differentiable)
+        for network in _networks(field)
+    )
 
 
-Model = TypeVar("Model", TaylorModel, DualModel)
+def _networks(field: BoundedField) -> list[Perceptron]:
+    match field:
+        case HeldField(field=DirectedField(strands=StrandNetwork(network=network))):
+            return [network]
+        case ComposedField(score_model=ScoreNetwork(network=network)):
+            return [network, field.tangent_network]
+        case ComposedField():
+            return [field.tangent_network]
+    return []
 
 
 def compose(composition: Composition, S: Model, N: Model) -> Model:

@@ -13,6 +13,7 @@ import numpy as np
 from sgvf_drake.arrays import BoolArray, FloatArray, IntArray
 from sgvf_drake.certificate.boxes import Boxes
 from sgvf_drake.certificate.kernels import SLACK, TINY
+from sgvf_drake.certificate.patches import Patches
 from sgvf_drake.certificate.taylor_model import DualModel, TaylorModel
 
 # Newton's method doubles the digits in every step: enough for all of them.
@@ -27,10 +28,10 @@ WIDER = 2.0
 class BoundedMap(Protocol):
     """Two functions of the plane that can be bounded."""
 
-    def model(self, boxes: Boxes) -> TaylorModel:
+    def model(self, patches: Patches) -> TaylorModel:
         """Returns their models, (n, 2)."""
 
-    def dual(self, boxes: Boxes) -> DualModel:
+    def dual(self, patches: Patches) -> DualModel:
         """Returns their models and those of their derivatives."""
 
 
@@ -58,7 +59,8 @@ def directions_of(m: TaylorModel) -> FloatArray:
     That of m at the centre is tried, then the rows of the inverse Jacobian: where m is steep
     across a line and flat along it, they point along the flat part.
     """
-    rows = _inverse(m.jacobian)
+    # By the parameters, so in the half-side of the square.
+    rows = _inverse(m.slopes)
     found = np.full_like(m.value, np.nan)
     for u in (m.value, rows[:, 0], rows[:, 1]):
         along = m.weighted(u)
@@ -69,11 +71,12 @@ def directions_of(m: TaylorModel) -> FloatArray:
 
 def may_be_isolated(m: TaylorModel) -> BoolArray:
     """Tells, by models over squares, on which (n,) it is worth while to `isolate`."""
-    A = _inverse(m.jacobian)
+    A = _inverse(m.slopes)
     step = np.abs(A @ m.value[:, :, None]).max(axis=(1, 2))
-    change = 2 * m.half[:, None] * np.abs(m.quadratic).sum(axis=1)
+    change = 2 * np.abs(m.quadratic).sum(axis=1)
     bend = (np.abs(A) @ change[:, :, None]).max(axis=(1, 2))
-    return (step < 2 * m.half) & (bend < 1)
+    # In half-sides of the square, as the parameters are.
+    return (step < 2) & (bend < 1)
 
 
 def isolate(function: BoundedMap, boxes: Boxes, margin: float) -> Isolated:
@@ -88,10 +91,10 @@ def isolate(function: BoundedMap, boxes: Boxes, margin: float) -> Isolated:
     """
     half = ENLARGED * boxes.half
     points = _newton(function, boxes.centers)
-    here = function.model(Boxes(points, np.zeros(len(points))))
-    A = _inverse(here.jacobian)
-    step = np.maximum(*(_largest(here.weighted(row)) for row in _rows(A)))
-    k = _contraction(function.dual(Boxes(boxes.centers, half)), A)
+    here = function.dual(Patches.points(points))
+    A = _inverse(_jacobian(here))
+    step = np.maximum(*(_largest(here.value.weighted(row)) for row in _rows(A)))
+    k = _contraction(function.dual(Boxes(boxes.centers, half).patches), A)
     radius = WIDER * step / (1 - k) + margin
     reach = np.abs(points - boxes.centers).max(axis=1) + radius
     index = _sign_of_determinant(A)
@@ -102,8 +105,8 @@ def isolate(function: BoundedMap, boxes: Boxes, margin: float) -> Isolated:
 def _newton(function: BoundedMap, points: FloatArray) -> FloatArray:
     """Returns where Newton's method leads from points (n, 2); not finite: nowhere."""
     for _ in range(NEWTON_STEPS):
-        m = function.model(Boxes(points, np.zeros(len(points))))
-        points = points - (_inverse(m.jacobian) @ m.value[:, :, None])[:, :, 0]
+        m = function.dual(Patches.points(points))
+        points = points - (_inverse(_jacobian(m)) @ m.value.value[:, :, None])[:, :, 0]
     return points
 
 
@@ -127,8 +130,13 @@ def _rows(A: FloatArray) -> FloatArray:
     return np.moveaxis(A, 1, 0)
 
 
+def _jacobian(m: DualModel) -> FloatArray:
+    """Returns the derivatives (n, 2, 2) at the centres, a row for each coordinate."""
+    return np.stack([slope.value for slope in m.slopes], axis=1)
+
+
 def _inverse(jacobian: FloatArray) -> FloatArray:
-    """Returns the inverses (n, 2, 2), but for rounding, of Jacobians of models.
+    """Returns the inverses (n, 2, 2), but for rounding, of derivatives.
 
     Their rows are those of the coordinates; entries that are not finite: there is none.
     """

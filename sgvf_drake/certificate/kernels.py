@@ -1,8 +1,10 @@
 """The inner loops of Taylor models, compiled: one pass over memory where NumPy takes twenty.
 
-The parts of a model are (n, 6, k): for each of n squares and k functions the value, the two
-slopes, and the factors of d_0^2, d_0 d_1 and d_1^2.  Nothing here compares with what may not be
-a number: sums and absolute values hand it on, so that it is not below any bound later.
+The parts of a model are (n, 1 + k + k (k + 1) / 2, f): for each of n patches of k parameters
+and f functions the value, the k slopes, and the factors of u_a u_b for a <= b, in the order
+(0, 0), (0, 1), ..., (1, 1), ...  Functions come last, so that the innermost loops go over them
+and need not know k.  Nothing here compares with what may not be a number: sums and absolute
+values hand it on, so that it is not below any bound later.
 
 The constants stand here, since a change of what a kernel takes from elsewhere does not reach
 the cache of compiled code.
@@ -11,7 +13,7 @@ the cache of compiled code.
 import numpy as np
 
 from sgvf_drake.arrays import FloatArray
-from sgvf_drake.compiling import kernel
+from sgvf_drake.compiling import accumulating_part, kernel, part
 
 UNIT = 2.0**-53
 """The unit roundoff of float64."""
@@ -25,6 +27,9 @@ magnitudes that are added in it: n of them make (1 + UNIT)^n - 1, which is below
 
 TINY = 1e-290
 """Above what underflow can change a result by."""
+
+LIBRARY = 8
+"""Units of roundoff, relative to their value, that elementary functions are off by at most."""
 
 
 def check_rounding() -> None:
@@ -47,32 +52,53 @@ LINEAR, CURVED, LOWER, UPPER, MAGNITUDE = range(5)
 """Rows of what `ranges` returns."""
 
 
+def num_parameters(rows: int) -> int:
+    """Returns the number k of parameters of models of 1 + k + k (k + 1) / 2 parts."""
+    # That is (k + 1) (k + 2) / 2, and twice that is between (k + 1)^2 and (k + 2)^2.
+    return int(np.sqrt(2 * rows)) - 1
+
+
+_num_parameters = part(num_parameters)
+
+
 @kernel
-def ranges(half: FloatArray, parts: FloatArray, remainder: FloatArray) -> FloatArray:
-    """Returns how far functions go over their squares, (5, n, k).
+def ranges(parts: FloatArray, remainder: FloatArray) -> FloatArray:
+    """Returns how far functions go over their patches, (5, n, f).
 
     How far their linear part and all the rest take them from their value, at most; what they
     are at least and at most; and what their absolute values and those of their parts are.
     """
-    n, _, k = parts.shape
-    found = np.empty((5, n, k))
+    n, rows, f = parts.shape
+    k = _num_parameters(rows)
+    found = np.zeros((5, n, f))
     for i in range(n):
-        h = half[i]
-        for j in range(k):
-            value = parts[i, 0, j]
-            first, mixed, second = parts[i, 3, j], abs(parts[i, 4, j]), parts[i, 5, j]
-            linear = h * (abs(parts[i, 1, j]) + abs(parts[i, 2, j]))
-            curved = h**2 * (abs(first) + mixed + abs(second)) + remainder[i, j]
+        linear, curved = found[LINEAR, i], found[CURVED, i]
+        low, high, size = found[LOWER, i], found[UPPER, i], found[MAGNITUDE, i]
+        q = k
+        for a in range(k):
+            for j in range(f):
+                linear[j] += abs(parts[i, 1 + a, j])
             # Squares bend to one side alone: max(q, 0) is (|q| + q) / 2.
-            up = h**2 * ((abs(first) + first) / 2 + (abs(second) + second) / 2 + mixed)
-            down = h**2 * ((abs(first) - first) / 2 + (abs(second) - second) / 2 + mixed)
-            found[LINEAR, i, j] = linear
-            found[CURVED, i, j] = curved
-            down = (1 + SLACK) * (linear + (down + remainder[i, j])) + SLACK * abs(value)
-            up = (1 + SLACK) * (linear + (up + remainder[i, j])) + SLACK * abs(value)
-            found[LOWER, i, j] = value - down
-            found[UPPER, i, j] = value + up
-            found[MAGNITUDE, i, j] = abs(value) + (1 + SLACK) * (linear + curved)
+            q += 1
+            for j in range(f):
+                square = parts[i, q, j]
+                curved[j] += abs(square)
+                high[j] += (abs(square) + square) / 2
+                low[j] += (abs(square) - square) / 2
+            for _ in range(a + 1, k):
+                q += 1
+                for j in range(f):
+                    mixed = abs(parts[i, q, j])
+                    curved[j] += mixed
+                    high[j] += mixed
+                    low[j] += mixed
+        for j in range(f):
+            value, rest = parts[i, 0, j], remainder[i, j]
+            curved[j] += rest
+            rounding = SLACK * abs(value)
+            low[j] = value - ((1 + SLACK) * (linear[j] + (low[j] + rest)) + rounding)
+            high[j] = value + ((1 + SLACK) * (linear[j] + (high[j] + rest)) + rounding)
+            size[j] = (1 + SLACK) * (abs(value) + linear[j] + curved[j])
     return found
 
 
@@ -86,21 +112,31 @@ def product(
     b_rest: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Returns the parts and remainders of products; one function multiplies all others."""
-    n, k = len(a), max(a.shape[2], b.shape[2])
-    parts, remainder = np.empty((n, 6, k)), np.empty((n, k))
+    n, rows, f = len(a), a.shape[1], max(a.shape[2], b.shape[2])
+    k = _num_parameters(rows)
+    a_step, b_step = min(a.shape[2] - 1, 1), min(b.shape[2] - 1, 1)
+    parts, remainder = np.empty((n, rows, f)), np.empty((n, f))
     for i in range(n):
-        for j in range(k):
-            p, q = min(j, a.shape[2] - 1), min(j, b.shape[2] - 1)
-            u, v = a[i, 0, p], b[i, 0, q]
-            u0, u1, v0, v1 = a[i, 1, p], a[i, 2, p], b[i, 1, q], b[i, 2, q]
-            parts[i, 0, j] = u * v
-            parts[i, 1, j] = u * v0 + v * u0
-            parts[i, 2, j] = u * v1 + v * u1
-            parts[i, 3, j] = u * b[i, 3, q] + v * a[i, 3, p] + u0 * v0
-            parts[i, 4, j] = u * b[i, 4, q] + v * a[i, 4, p] + (u0 * v1 + u1 * v0)
-            parts[i, 5, j] = u * b[i, 5, q] + v * a[i, 5, p] + u1 * v1
+        for j in range(f):
+            parts[i, 0, j] = a[i, 0, a_step * j] * b[i, 0, b_step * j]
+        for r in range(1, rows):
+            for j in range(f):
+                p, q = a_step * j, b_step * j
+                parts[i, r, j] = a[i, 0, p] * b[i, r, q] + b[i, 0, q] * a[i, r, p]
+        r = k
+        for x in range(1, k + 1):
+            r += 1
+            for j in range(f):
+                parts[i, r, j] += a[i, x, a_step * j] * b[i, x, b_step * j]
+            for y in range(x + 1, k + 1):
+                r += 1
+                for j in range(f):
+                    p, q = a_step * j, b_step * j
+                    parts[i, r, j] += a[i, x, p] * b[i, y, q] + a[i, y, p] * b[i, x, q]
+        for j in range(f):
+            p, q = a_step * j, b_step * j
             curved = b_ranges[CURVED, i, q]
-            rest = abs(u) * b_rest[i, q] + abs(v) * a_rest[i, p]
+            rest = abs(a[i, 0, p]) * b_rest[i, q] + abs(b[i, 0, q]) * a_rest[i, p]
             rest += a_ranges[LINEAR, i, p] * curved
             rest += a_ranges[CURVED, i, p] * (b_ranges[LINEAR, i, q] + curved)
             size = a_ranges[MAGNITUDE, i, p] * b_ranges[MAGNITUDE, i, q]
@@ -110,7 +146,6 @@ def product(
 
 @kernel
 def composed(
-    half: FloatArray,
     parts: FloatArray,
     own_ranges: FloatArray,
     about: FloatArray,
@@ -121,39 +156,43 @@ def composed(
 ) -> tuple[FloatArray, FloatArray]:
     """Returns the parts of functions of functions, and what these leave out.
 
-    That is besides the slope times the remainder of the argument, (n, k).
+    That is besides the slope times the remainder of the argument, (n, f).
 
     Args:
-        half: (n,) of the squares.
-        parts: (n, 6, k) of the arguments.
+        parts: Of the arguments.
         own_ranges: Their `ranges`.
-        about: (n, k) what the expansions are about: the arguments' values, or near them.
-        value: (n, k) of the expansions, as the following; see `Expansion`.
+        about: (n, f) what the expansions are about: the arguments' values, or near them.
+        value: (n, f) of the expansions, as the following; see `Expansion`.
         slope: The factor of t.
         curvature: That of t^2 / 2.
         rest: A bound of what is left.
     """
-    n, _, k = parts.shape
-    found, own = np.empty((n, 6, k)), np.empty((n, k))
+    n, rows, f = parts.shape
+    k = _num_parameters(rows)
+    found, own = np.empty((n, rows, f)), np.empty((n, f))
     for i in range(n):
-        h = half[i]
-        for j in range(k):
-            s, bend = slope[i, j], curvature[i, j] / 2
-            u0, u1 = parts[i, 1, j], parts[i, 2, j]
-            s0, s1 = s * u0, s * u1
-            first = s * parts[i, 3, j] + bend * (u0 * u0)
-            mixed = s * parts[i, 4, j] + bend * (u0 * u1 + u1 * u0)
-            second = s * parts[i, 5, j] + bend * (u1 * u1)
-            found[i, 0, j], found[i, 1, j], found[i, 2, j] = value[i, j], s0, s1
-            found[i, 3, j], found[i, 4, j], found[i, 5, j] = first, mixed, second
-            off = abs(parts[i, 0, j] - about[i, j])
+        for j in range(f):
+            found[i, 0, j] = value[i, j]
+        for r in range(1, rows):
+            for j in range(f):
+                found[i, r, j] = slope[i, j] * parts[i, r, j]
+        r = k
+        for x in range(1, k + 1):
+            r += 1
+            for j in range(f):
+                found[i, r, j] += curvature[i, j] / 2 * parts[i, x, j] ** 2
+            for y in range(x + 1, k + 1):
+                r += 1
+                for j in range(f):
+                    found[i, r, j] += curvature[i, j] * (parts[i, x, j] * parts[i, y, j])
+        for j in range(f):
+            off, bend = abs(parts[i, 0, j] - about[i, j]), abs(curvature[i, j]) / 2
             linear, curved = own_ranges[LINEAR, i, j], own_ranges[CURVED, i, j] + off
             # t^2 less the square of its linear part.
-            beyond = abs(bend) * curved * (2 * linear + curved)
-            left = rest[i, j] + beyond + abs(s) * off
-            size = h * (abs(s0) + abs(s1)) + h**2 * (abs(first) + abs(mixed) + abs(second))
-            size = abs(value[i, j]) + (1 + SLACK) * size + abs(s) * curved + left
-            own[i, j] = (1 + SLACK) * left + SLACK * size + TINY
+            left = rest[i, j] + bend * curved * (2 * linear + curved) + abs(slope[i, j]) * off
+            # What is added up above, before anything of it cancels.
+            size = abs(slope[i, j]) * (linear + curved) + bend * linear**2
+            own[i, j] = (1 + SLACK) * left + SLACK * (abs(value[i, j]) + size + left) + TINY
     return found, own
 
 
@@ -164,7 +203,7 @@ def silu(u: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     for i in range(u.shape[0]):
         for j in range(u.shape[1]):
             t = u[i, j]
-            gate = 0.5 + 0.5 * np.tanh(0.5 * t)
+            gate = 1 / (1 + np.exp(-t))
             bell = gate * (1 - gate)
             value[i, j] = t * gate
             slope[i, j] = gate + t * bell
@@ -209,6 +248,8 @@ def cubic_rests(
 
 # exp is zero in float64 below minus this; what is below LEAST counts as that.
 UNDERFLOW, LEAST = 746.0, -690.0
+# A weight whose logarithm is below is left out of means, and what that changes is bounded.
+NEGLIGIBLE = -64.0
 # A weight that grows to the exponential of more says nothing any more, and would overflow.
 LARGEST = 500.0
 
@@ -222,9 +263,9 @@ def log_sums(
     Each waypoint for itself: the nearest and the farthest that it can be over a square.
 
     Args:
-        centers: (n, 2) of the squares.
+        centers: (n, d) of the squares.
         half: (n,) of the squares.
-        points: (N, 2) x_i.
+        points: (N, d) x_i.
         sigma: Noise level.
 
     Returns:
@@ -232,16 +273,16 @@ def log_sums(
         terms, nearest first.
     """
     n, count, factor = len(half), len(points), -1 / (2 * sigma**2)
-    tops, logarithms = np.empty((n, 2)), np.empty((n, 2))
+    tops, logarithms = np.full((n, 2), -np.inf), np.empty((n, 2))
     exponents = np.empty((2, count))
     for i in range(n):
-        h = half[i]
-        tops[i] = -np.inf
         for p in range(count):
-            x, y = abs(centers[i, 0] - points[p, 0]), abs(centers[i, 1] - points[p, 1])
-            near_x, near_y = max(x - h, 0.0), max(y - h, 0.0)
-            exponents[0, p] = factor * (near_x**2 + near_y**2)
-            exponents[1, p] = factor * ((x + h) ** 2 + (y + h) ** 2)
+            near = far = 0.0
+            for c in range(points.shape[1]):
+                apart = abs(centers[i, c] - points[p, c])
+                near += max(apart - half[i], 0.0) ** 2
+                far += (apart + half[i]) ** 2
+            exponents[0, p], exponents[1, p] = factor * near, factor * far
             tops[i, 0] = max(tops[i, 0], exponents[0, p])
             tops[i, 1] = max(tops[i, 1], exponents[1, p])
         for side in range(2):
@@ -256,101 +297,288 @@ def log_sums(
 
 @kernel
 def tilted_means(
-    centers: FloatArray, half: FloatArray, points: FloatArray, sigma: float
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Returns the models of x - m, with the mean m of the waypoints by their weights at x.
+    centers: FloatArray,
+    axes: FloatArray,
+    points: FloatArray,
+    exponents: FloatArray,
+    values: FloatArray,
+    sigma: float,
+    products: bool,
+) -> tuple[FloatArray, FloatArray]:
+    """Returns models of means by the weights exp(-|x - x_i|^2 / 2 sigma^2 + exponent_i).
 
-    See `mixture_model`.  The tilted weights are w_i exp(a_i) / Z, with Z = sum_i w_i exp(a_i)
-    at least one, since E a = 0 (Jensen).  By the logarithms, since a weight that is zero to
-    float64 at the centre may be all that counts in a corner.
+    See `mixture_model`.
 
     Args:
-        centers: (n, 2) of the squares.
-        half: (n,) of the squares.
-        points: (N, 2) the waypoints.
+        centers: c, (n, d) of the patches.
+        axes: A, (n, d, k) of the patches.
+        points: x_i, (N, d).
+        exponents: (N,).
+        values: (N, f) what is averaged besides x_i - c; right within 64 units of roundoff of
+            one, whatever their size.
         sigma: Noise level.
+        products: Whether the products of all these with each entry of x_i - c are averaged
+            too, of both less their means at c.
 
     Returns:
-        The parts (n, 6, 2); what the third derivative of the mean adds, (n, 2), and E|y_k|,
-        (n, 2), of tilted weights; and the largest terms' exponents (n,).
+        The parts (n, 1 + k + k (k + 1) / 2, d + f, or with products (d + f) (1 + d)), and the
+        remainders.
     """
-    n, count, variance = len(half), len(points), sigma**2
-    parts = np.empty((n, 6, 2))
-    change, spread, tops = np.empty((n, 2)), np.empty((n, 2)), np.empty(n)
+    (n, d, k), (count, f) = axes.shape, values.shape
+    base, variance = d + f, sigma**2
+    columns = base * (1 + d) if products else base
+    parts = np.zeros((n, 1 + k + k * (k + 1) // 2, columns))
+    remainder = np.empty((n, columns))
+    F, size = np.empty((columns, count)), np.empty((columns, count))
+    b, tilts = np.empty((k, count)), np.empty(count)
     logarithms, weights, grown = np.empty(count), np.empty(count), np.empty(count)
-    y = np.empty((2, count))
+    largest, reach = np.abs(exponents).max(), np.empty(columns)
     for i in range(n):
-        top = -np.inf
         for p in range(count):
-            y[0, p], y[1, p] = points[p, 0] - centers[i, 0], points[p, 1] - centers[i, 1]
-            logarithms[p] = (y[0, p] ** 2 + y[1, p] ** 2) / (-2 * variance)
-            top = max(top, logarithms[p])
-        total = 0.0
+            logarithms[p] = exponents[p] - _square(points[p], centers[i]) / (2 * variance)
+        m = _select(points, values, centers[i], axes[i], variance, logarithms, F, reach)
+        logs, w, t, g = logarithms[:m], weights[:m], tilts[:m], grown[:m]
+        top, farthest = _weigh(logs, w)
+        _centre(F, size, w, parts[i, 0], d, base)
+        _project(F, size, axes[i], variance, b, t)
+        if products:
+            _multiply(F, size, w, parts[i, 0], d, reach)
+        _cumulants(F, b, w, parts[i])
+        # Weights are off by the roundings of their exponents, and by those of their sum.
+        exponent = abs(top) + 2 * largest + farthest
+        off = UNIT * (16 * exponent + 4 * (count + 2 * LIBRARY))
+        error = 32 * UNIT * farthest + off * (1 + (w * t).sum())
+        sum_grown = _grow(b, t, logs, error, g)
+        _rests(F, size, b, t, w, g, sum_grown, off, remainder[i])
+        for c in range(columns):
+            remainder[i, c] += 4 * count * np.exp(NEGLIGIBLE + 1) * reach[c]
+    return parts, remainder
+
+
+@part
+def _square(a: FloatArray, b: FloatArray) -> float:
+    total = 0.0
+    for c in range(len(a)):
+        total += (a[c] - b[c]) ** 2
+    return total
+
+
+@part
+def _select(
+    points: FloatArray,
+    values: FloatArray,
+    center: FloatArray,
+    axes: FloatArray,
+    variance: float,
+    logarithms: FloatArray,
+    F: FloatArray,
+    reach: FloatArray,
+) -> int:
+    """Puts what counts on a patch, its logarithms and x_i - c and values, to the front.
+
+    The weight of x_i over that of the nearest waypoint is there at most exp(l_i - l + sum_j
+    |A_j . (x_i - x)| / sigma^2).  What is left out is below exp(NEGLIGIBLE), also after
+    rounding below e times that, and so changes a mean by less than 4 N such parts of `reach`.
+
+    Returns:
+        The number of what counts.
+    """
+    (d, k), f, m = axes.shape, values.shape[1], 0
+    reach[:] = 0.0
+    nearest = np.argmax(logarithms)
+    top = logarithms[nearest]
+    for p in range(len(points)):
+        exponent = logarithms[p] - top
+        for j in range(k):
+            along = 0.0
+            for c in range(d):
+                along += axes[c, j] * (points[p, c] - points[nearest, c])
+            exponent += abs(along) / variance
+        for c in range(d):
+            F[c, m] = points[p, c] - center[c]
+            reach[c] = max(reach[c], abs(F[c, m]))
+        for c in range(f):
+            F[d + c, m] = values[p, c]
+            reach[d + c] = max(reach[d + c], abs(values[p, c]))
+        # Also what is no number counts.
+        if not exponent < NEGLIGIBLE:
+            logarithms[m] = logarithms[p]
+            m += 1
+    return m
+
+
+@accumulating_part
+def _weigh(logarithms: FloatArray, weights: FloatArray) -> tuple[float, float]:
+    """Makes weights of sum one of logarithms, and their logarithms.
+
+    Returns:
+        The largest logarithm, and how far below zero the least one is of those weights.
+    """
+    top, total, farthest = logarithms.max(), 0.0, 0.0
+    for p in range(len(logarithms)):
+        logarithms[p] -= top
+        weights[p] = np.exp(logarithms[p]) if logarithms[p] > LEAST else 0.0
+        total += weights[p]
+    shift = np.log(total)
+    for p in range(len(logarithms)):
+        logarithms[p] -= shift
+        weights[p] /= total
+        farthest = max(farthest, -logarithms[p])
+    return top, farthest
+
+
+@accumulating_part
+def _centre(
+    F: FloatArray, size: FloatArray, weights: FloatArray, means: FloatArray, d: int, base: int
+) -> None:
+    """Takes the means off, and tells the sizes against which the weights are off.
+
+    What comes after x_i - c is itself off by rounding, relative to one.
+    """
+    for c in range(base):
+        mean, least = 0.0, 0.0 if c < d else 1.0
+        for p in range(len(weights)):
+            mean += weights[p] * F[c, p]
+        means[c] = mean
+        for p in range(len(weights)):
+            value = F[c, p]
+            F[c, p] = value - mean
+            size[c, p] = least + abs(value) + abs(value - mean)
+
+
+@accumulating_part
+def _project(
+    F: FloatArray,
+    size: FloatArray,
+    axes: FloatArray,
+    variance: float,
+    b: FloatArray,
+    tilts: FloatArray,
+) -> None:
+    """Makes b_j = A_j . y / sigma^2, and the sizes of what all of them are summed up from."""
+    b[:], tilts[:] = 0.0, 0.0
+    for c in range(axes.shape[0]):
+        for j in range(axes.shape[1]):
+            factor = axes[c, j] / variance
+            for p in range(len(tilts)):
+                b[j, p] += factor * F[c, p]
+                tilts[p] += abs(factor) * size[c, p]
+
+
+@accumulating_part
+def _multiply(
+    F: FloatArray,
+    size: FloatArray,
+    weights: FloatArray,
+    means: FloatArray,
+    d: int,
+    reach: FloatArray,
+) -> None:
+    """Makes the products of all columns with the first d, less their means."""
+    base = len(F) // (1 + d)
+    for c in range(base):
+        for e in range(d):
+            to, mean = base + c * d + e, 0.0
+            for p in range(len(weights)):
+                F[to, p] = F[c, p] * F[e, p]
+                mean += weights[p] * F[to, p]
+            # Less their means, both reach twice as far.
+            means[to], reach[to] = mean, 4 * reach[c] * reach[e]
+            for p in range(len(weights)):
+                F[to, p] -= mean
+                size[to, p] = size[c, p] * size[e, p] + abs(mean)
+
+
+@accumulating_part
+def _cumulants(F: FloatArray, b: FloatArray, weights: FloatArray, parts: FloatArray) -> None:
+    """Makes the slopes E[F b_j] and the factors of u_j u_l: of E[F b_j b_l], half if j = l."""
+    k = len(b)
+    for c in range(len(F)):
+        q = k
+        for j in range(k):
+            for p in range(len(weights)):
+                parts[1 + j, c] += weights[p] * F[c, p] * b[j, p]
+            for m in range(j, k):
+                q += 1
+                total = 0.0
+                for p in range(len(weights)):
+                    total += weights[p] * F[c, p] * (b[j, p] * b[m, p])
+                parts[q, c] = total / 2 if m == j else total
+
+
+@accumulating_part
+def _grow(
+    b: FloatArray, tilts: FloatArray, logarithms: FloatArray, error: float, grown: FloatArray
+) -> float:
+    """Makes what the weights are at most all over a patch, and their sum.
+
+    The tilted weights are w_i exp(b_i . u) / Z, and Z = sum_i w_i exp(b_i . u) is at least one,
+    since E b = 0 (Jensen).  By the logarithms, since a weight that is zero to float64 at the
+    centre may be all that counts in a corner.
+    """
+    total = 0.0
+    for p in range(len(grown)):
+        tilt = 0.0
+        for j in range(len(b)):
+            tilt += abs(b[j, p])
+        exponent = logarithms[p] + tilt + (error + SLACK * tilts[p])
+        if exponent > LARGEST:
+            grown[p] = np.inf
+        else:
+            grown[p] = np.exp(exponent) if exponent > LEAST else 0.0
+        total += grown[p]
+    return total
+
+
+@accumulating_part
+def _rests(
+    F: FloatArray,
+    size: FloatArray,
+    b: FloatArray,
+    tilts: FloatArray,
+    weights: FloatArray,
+    grown: FloatArray,
+    sum_grown: float,
+    off: float,
+    remainder: FloatArray,
+) -> None:
+    """Makes the remainders: what third derivatives add, and the rounding.
+
+    A sixth of the joint cumulant E[F a^3] - 3 E[F a] E[a^2] of F and three a = b . u, at any
+    u, by absolute moments; about the means there.
+    """
+    k, count = len(b), len(weights)
+    change, a = np.empty(count), np.empty(count)
+    for p in range(count):
+        tilt = 0.0
+        for j in range(k):
+            tilt += abs(b[j, p])
+        a[p] = tilt
+        # Weights change by a factor between exp(-tilt) / Z and exp(tilt).
+        shrunk = weights[p] * np.exp(-tilt) / sum_grown
+        change[p] = max(grown[p] - weights[p], weights[p] - shrunk)
+    for j in range(k):
+        a += _moved(b[j], change)
+    square = spread = 0.0
+    for p in range(count):
+        square += grown[p] * a[p] ** 2
+        spread += grown[p] * (tilts[p] + tilts[p] ** 2)
+    for c in range(len(F)):
+        moved = _moved(F[c], change)
+        first = fourth = rounding = 0.0
         for p in range(count):
-            logarithms[p] -= top
-            weights[p] = np.exp(logarithms[p]) if logarithms[p] > LEAST else 0.0
-            total += weights[p]
-        log_total = np.log(total)
-        mean_x, mean_y, farthest = 0.0, 0.0, 0.0
-        for p in range(count):
-            weights[p] /= total
-            logarithms[p] -= log_total
-            farthest = max(farthest, -logarithms[p])
-            mean_x += weights[p] * y[0, p]
-            mean_y += weights[p] * y[1, p]
-        # Covariance, third moments, and the weights that grow most.
-        xx = xy = yy = xxx = xxy = xyy = yyy = sum_grown = 0.0
-        step, error = half[i] / variance, 32 * UNIT * farthest
-        for p in range(count):
-            y[0, p] -= mean_x
-            y[1, p] -= mean_y
-            u, v, w = y[0, p], y[1, p], weights[p]
-            xx += w * u * u
-            xy += w * u * v
-            yy += w * v * v
-            xxx += w * u * u * u
-            xxy += w * u * u * v
-            xyy += w * u * v * v
-            yyy += w * v * v * v
-            exponent = logarithms[p] + step * (abs(u) + abs(v)) + error
-            if exponent > LARGEST:
-                grown[p] = np.inf
-            else:
-                grown[p] = np.exp(exponent) if exponent > LEAST else 0.0
-            sum_grown += grown[p]
-        # Where the mean moves to: weights change by a factor between exp(-tilt) / Z and
-        # exp(tilt).
-        moved_x = moved_y = 0.0
-        for p in range(count):
-            u, v, w = abs(y[0, p]), abs(y[1, p]), weights[p]
-            if grown[p] > 0:
-                shrunk = w * np.exp(-step * (u + v)) / sum_grown
-                most = max(grown[p] - w, w - shrunk)
-                moved_x += most * u
-                moved_y += most * v
-        # The fourth joint cumulant, E[Y a^3] - 3 E[Y a] E[a^2], by absolute moments.
-        square = first_x = first_y = fourth_x = fourth_y = spread_x = spread_y = 0.0
-        for p in range(count):
-            u, v, g = abs(y[0, p]), abs(y[1, p]), grown[p]
-            about_x, about_y = u + moved_x, v + moved_y
-            tilt = step * (about_x + about_y)
-            once, twice = g * tilt, g * tilt * tilt
-            square += twice
-            first_x += once * about_x
-            first_y += once * about_y
-            fourth_x += twice * tilt * about_x
-            fourth_y += twice * tilt * about_y
-            spread_x += g * u
-            spread_y += g * v
-        tops[i] = top
-        parts[i, 0, 0], parts[i, 0, 1] = -mean_x, -mean_y
-        parts[i, 1, 0], parts[i, 2, 1] = 1 - xx / variance, 1 - yy / variance
-        parts[i, 1, 1] = parts[i, 2, 0] = -xy / variance
-        bend = -1 / (2 * variance**2)
-        parts[i, 3, 0], parts[i, 3, 1] = bend * xxx, bend * xxy
-        parts[i, 4, 0], parts[i, 4, 1] = 2 * bend * xxy, 2 * bend * xyy
-        parts[i, 5, 0], parts[i, 5, 1] = bend * xyy, bend * yyy
-        change[i, 0] = (fourth_x + 3 * first_x * square) / 6
-        change[i, 1] = (fourth_y + 3 * first_y * square) / 6
-        spread[i, 0], spread[i, 1] = spread_x, spread_y
-    return parts, change, spread, tops
+            once = grown[p] * (abs(F[c, p]) + moved) * a[p]
+            first += once
+            fourth += once * a[p] ** 2
+            rounding += grown[p] * size[c, p] * (1 + tilts[p] + tilts[p] ** 2)
+        rest = (fourth + 3 * first * square) / 6
+        remainder[c] = (1 + SLACK) * rest + 4 * off * rounding * (1 + spread) + TINY
+
+
+@accumulating_part
+def _moved(values: FloatArray, change: FloatArray) -> float:
+    """What the mean of values moves by at most, as their weights change."""
+    total = 0.0
+    for p in range(len(change)):
+        total += abs(values[p]) * change[p]
+    return total

@@ -12,6 +12,7 @@ from sgvf_drake.certificate.expansions import RECIPROCAL
 from sgvf_drake.certificate.field_model import dual_field, model_field
 from sgvf_drake.certificate.kernels import SLACK
 from sgvf_drake.certificate.mixture_model import MixtureModel
+from sgvf_drake.certificate.patches import Patches, on_grid
 from sgvf_drake.certificate.taylor_model import TaylorModel
 from sgvf_drake.fields import GuidingField
 
@@ -48,10 +49,10 @@ class Annulus:
 
     @property
     def borders(self) -> tuple[FloatArray, FloatArray]:
-        """The corners (K, 2) of the inner polygon and of the outer one."""
+        """The corners (K, 2) of the inner polygon and of the outer one, on the `GRID`."""
         center, rays = np.array(self.center), self._rays
         share = np.array(self.widths)[:, None] / np.linalg.norm(rays, axis=1, keepdims=True)
-        return center + (1 - share) * rays, center + (1 + share) * rays
+        return on_grid(center + (1 - share) * rays), on_grid(center + (1 + share) * rays)
 
     @property
     def is_ring(self) -> bool:
@@ -102,7 +103,7 @@ HALVINGS = 5
 
 
 def is_trapping(field: GuidingField, annulus: Annulus) -> tuple[bool, int]:
-    """Whether m points into a ring all along its border, and how many squares that took.
+    """Whether m points into a ring all along its border, and how many segments that took.
 
     At a corner m points into the half-planes of both sides, and so into the ring.
 
@@ -115,47 +116,24 @@ def is_trapping(field: GuidingField, annulus: Annulus) -> tuple[bool, int]:
     # which is to the right when that is walked backwards.
     start = np.concatenate([outer, np.roll(inner, -1, axis=0)])
     end = np.concatenate([np.roll(outer, -1, axis=0), inner])
-    squares = 0
+    segments = 0
     for _ in range(HALVINGS + 1):
-        outward, at_middle = _outward(field, start, end)
-        squares += len(start)
-        still = ~(outward < 0)
+        side = Patches.segments(start, end)
+        step = side.axes[:, :, 0]
+        with np.errstate(over="ignore", invalid="ignore"):
+            outward = model_field(field, side).weighted(
+                np.column_stack([step[:, 1], -step[:, 0]])
+            )
+        segments += len(side)
+        still = ~(outward.upper[:, 0] < 0)
         if not still.any():
-            return True, squares
-        if (at_middle > 0).any():
+            return True, segments
+        if (outward.value - outward.remainder > 0).any():
             break
         start, end = start[still], end[still]
         middle = (start + end) / 2
         start, end = np.concatenate([start, middle]), np.concatenate([middle, end])
-    return False, squares
-
-
-def _outward(
-    field: GuidingField, start: FloatArray, end: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Returns bounds of m to the right of segments (n, 2).
-
-    From above on all of them, and from below at their middles.
-    """
-    step = (end - start) / 2
-    half = np.abs(step).max(axis=1)
-    centers = (start + end) / 2
-    off = ROUNDING * (1 + np.abs(centers).max())
-    normal = np.column_stack([step[:, 1], -step[:, 0]])
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    with np.errstate(over="ignore", invalid="ignore"):
-        m = model_field(field, Boxes(centers, half + off))
-        across = m.weighted(normal)
-        slope = (across.jacobian[..., 0] * step).sum(axis=1)
-        squares = np.column_stack([step[:, 0] ** 2, step[:, 0] * step[:, 1], step[:, 1] ** 2])
-        bend = (across.quadratic[..., 0] * squares).sum(axis=1)
-        # The middle and the line are off by rounding.
-        rounding = SLACK * across.magnitude[:, 0]
-        rounding += off * np.abs(across.jacobian).sum(axis=(1, 2))
-        at_middle = across.value[:, 0]
-        rest = across.remainder[:, 0] + rounding
-        on_segment = at_middle + np.abs(slope) + np.maximum(bend, 0) + rest
-    return on_segment, at_middle - rest
+    return False, segments
 
 
 # Of the contraction: a bound of div m from above.
@@ -193,14 +171,14 @@ class Contraction:
         facts = np.full((len(boxes), 1), np.nan)
         inside = self.levels.level_range(boxes)[0] <= self.c_in
         with np.errstate(over="ignore", invalid="ignore"):
-            divergence = dual_field(self.field, boxes[inside]).divergence
+            divergence = dual_field(self.field, boxes[inside].patches).divergence
             facts[inside] = divergence.upper
         decided = ~inside | (facts[:, DIVERGENCE] < 0)
         return Answer(decided, facts, int(inside.sum()))
 
     def _refute(self, z: FloatArray) -> BoolArray:
         jacobian = self.field.value_and_jacobian(self.field.cloud.denormalize(z))[1]
-        _, V = self.levels.level_range(Boxes(z, np.zeros(len(z))))
+        _, V = self.levels.level_range(Boxes.points(z))
         return (self.c_in >= V) & (np.trace(jacobian, 0, 1, 2) >= 0)
 
 
@@ -240,18 +218,12 @@ class Turning:
 
     def _angular_speed(self, boxes: Boxes) -> TaylorModel:
         """Returns the models of (p x m) / |p|^2 with p = z - center, to the side."""
-        position = TaylorModel.position(boxes)
-        p = position + TaylorModel.constant(
-            boxes.half, np.broadcast_to(-self.center, boxes.centers.shape)
-        )
+        p = TaylorModel.position(boxes.patches).shifted(-self.center)
         # p x m is the product of m with p, turned by a quarter.
-        quarter = np.array([-self.side, self.side], float)
-        turned = TaylorModel(
-            p.half, p.parts[..., ::-1] * quarter, np.ascontiguousarray(p.remainder[:, ::-1])
-        )
+        turned = p.functions(slice(None, None, -1)).scaled(self.side * np.array([-1.0, 1.0]))
         nearest = np.maximum(np.abs(p.value) - boxes.half[:, None], 0)
         least = float((nearest**2).sum(axis=1).min(initial=np.inf)) * (1 - SLACK)
-        m = model_field(self.field, boxes)
+        m = model_field(self.field, boxes.patches)
         return turned.dot(m) * p.dot(p).apply(RECIPROCAL, least=least)
 
     def _refute(self, z: FloatArray) -> BoolArray:

@@ -1,7 +1,8 @@
-"""Second-order Taylor models over squares: a small arithmetic of functions and their errors.
+"""Second-order Taylor models over patches: a small arithmetic of functions and their errors.
 
-A model says of a function that f(c + d) = value + jacobian d + q(d) + rest, with the quadratic
-form q and |rest| <= remainder, for all |d_k| <= half (Makino and Berz, 2003, at order two).
+A model says of a function that f(c + A u) = value + slopes . u + q(u) + rest, with the
+quadratic form q and |rest| <= remainder, for all |u_j| <= 1 (Makino and Berz, 2003, at order
+two).
 Every operation gives a model of its result that holds in exact arithmetic, rounding included:
 an operation makes fewer than `ROUNDINGS` roundings one after another, each of which is at most
 `UNIT` of a magnitude that is bounded on the way.
@@ -9,20 +10,21 @@ an operation makes fewer than `ROUNDINGS` roundings one after another, each of w
 At order one the arithmetic is simpler and a square costs less, but the bounds of m near the
 path of a trained field are twice as wide at a half-side of a sixty-fourth.
 
-A `DualModel` is a dual number of such models: functions and their partial derivatives.
+A `DualModel` is a dual number of such models: functions and their derivatives by the
+coordinates of the space, which a patch may have more of than parameters.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol, runtime_checkable
+from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
 from sgvf_drake.arrays import BoolArray, FloatArray
 from sgvf_drake.certificate import kernels
-from sgvf_drake.certificate.boxes import Boxes
 from sgvf_drake.certificate.kernels import LOWER, MAGNITUDE, SLACK, TINY, UPPER
+from sgvf_drake.certificate.patches import Patches
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,76 +64,83 @@ class Differentiable(Univariate, Protocol):
         """Returns the expansion of the derivative about u that holds on [low, high]."""
 
 
+Numbers = float | FloatArray
+"""One for all functions, or (f,) one for each."""
+
+
 @dataclass(frozen=True, eq=False)
 class TaylorModel:
-    """Models of k functions over each of n squares.
+    """Models of f functions over each of n patches of k parameters.
 
     Attributes:
-        half: (n,) the half-sides.
-        parts: (n, 6, k) the value, the two slopes, and the factors of d_0^2, d_0 d_1 and d_1^2.
-        remainder: (n, k), at least zero.
+        parts: (n, 1 + k + k (k + 1) / 2, f) the value, the k slopes, and the factors of u_a u_b
+            for a <= b: of two parameters those of u_0^2, u_0 u_1 and u_1^2.
+        remainder: (n, f), at least zero.
     """
 
-    half: FloatArray
     parts: FloatArray
     remainder: FloatArray
 
     @classmethod
-    def position(cls, boxes: Boxes) -> "TaylorModel":
-        """Returns the models of the two coordinates."""
-        models = cls.constant(boxes.half, boxes.centers)
-        models.parts[:, 1:3] = np.eye(2)
-        return models
-
-    @classmethod
-    def constant(cls, half: FloatArray, value: FloatArray) -> "TaylorModel":
-        """Returns the models of numbers (n, k)."""
-        n, k = value.shape
-        parts = np.zeros((n, 6, k))
-        parts[:, 0] = value
-        return cls(half, parts, np.zeros((n, k)))
+    def position(cls, patches: Patches, held: Sequence[float] = ()) -> "TaylorModel":
+        """Returns the models of the d coordinates, and of numbers after them."""
+        (n, d), k = patches.centers.shape, patches.axes.shape[2]
+        parts = np.zeros((n, 1 + k + k * (k + 1) // 2, d + len(held)))
+        parts[:, 0, :d], parts[:, 0, d:] = patches.centers, held
+        parts[:, 1 : 1 + k, :d] = np.swapaxes(patches.axes, 1, 2)
+        return cls(parts, np.zeros((n, d + len(held))))
 
     def __getitem__(self, rows: BoolArray) -> "TaylorModel":
-        """Returns the models over some of the squares."""
-        return TaylorModel(self.half[rows], self.parts[rows], self.remainder[rows])
+        """Returns the models over some of the patches."""
+        return TaylorModel(self.parts[rows], self.remainder[rows])
+
+    def functions(self, columns: slice) -> "TaylorModel":
+        """Returns the models of some of the functions."""
+        parts, remainder = self.parts[..., columns], self.remainder[:, columns]
+        return TaylorModel(np.ascontiguousarray(parts), np.ascontiguousarray(remainder))
 
     @property
     def value(self) -> FloatArray:
-        """The values at the centres, but for the remainder, (n, k)."""
+        """The values at the centres, but for the remainder, (n, f)."""
         return self.parts[:, 0]
 
     @property
-    def jacobian(self) -> FloatArray:
-        """The slopes, (n, 2, k)."""
-        return self.parts[:, 1:3]
+    def slopes(self) -> FloatArray:
+        """The factors of the parameters, (n, k, f)."""
+        return self.parts[:, 1 : 1 + self.num_parameters]
 
     @property
     def quadratic(self) -> FloatArray:
-        """The factors of d_0^2, d_0 d_1 and d_1^2, (n, 3, k)."""
-        return self.parts[:, 3:]
+        """The factors of u_a u_b for a <= b, (n, k (k + 1) / 2, f)."""
+        return self.parts[:, 1 + self.num_parameters :]
+
+    @property
+    def num_parameters(self) -> int:
+        """The number k of parameters of a patch."""
+        return int(kernels.num_parameters(self.parts.shape[1]))
 
     @property
     def lower(self) -> FloatArray:
-        """What each function is at least, (n, k)."""
+        """What each function is at least, (n, f)."""
         return self._ranges[LOWER]
 
     @property
     def upper(self) -> FloatArray:
-        """What each function is at most, (n, k)."""
+        """What each function is at most, (n, f)."""
         return self._ranges[UPPER]
 
     @property
     def magnitude(self) -> FloatArray:
-        """What the absolute value of each function and of its parts is at most, (n, k)."""
+        """What the absolute value of each function and of its parts is at most, (n, f)."""
         return self._ranges[MAGNITUDE]
 
     @cached_property
     def _ranges(self) -> FloatArray:
         """See `kernels.ranges`."""
-        return np.asarray(kernels.ranges(self.half, self.parts, self.remainder))
+        return np.asarray(kernels.ranges(self.parts, self.remainder))
 
     def __add__(self, other: "TaylorModel") -> "TaylorModel":
-        return self._with(
+        return _rounded(
             self.parts + other.parts,
             self.remainder + other.remainder,
             self.magnitude + other.magnitude,
@@ -140,31 +149,31 @@ class TaylorModel:
     def __sub__(self, other: "TaylorModel") -> "TaylorModel":
         return self + other.scaled(-1.0)
 
-    def scaled(self, factor: float) -> "TaylorModel":
-        """Returns the models times a number."""
-        size = abs(factor)
-        return self._with(factor * self.parts, size * self.remainder, size * self.magnitude)
+    def scaled(self, factor: Numbers) -> "TaylorModel":
+        """Returns the models times numbers."""
+        size = np.abs(factor)
+        return _rounded(factor * self.parts, size * self.remainder, size * self.magnitude)
 
-    def shifted(self, offset: float) -> "TaylorModel":
-        """Returns the models plus a number."""
+    def shifted(self, offset: Numbers) -> "TaylorModel":
+        """Returns the models plus numbers."""
         parts = self.parts.copy()
         parts[:, 0] += offset
-        return self._with(parts, self.remainder, np.abs(self.value) + abs(offset))
+        return _rounded(parts, self.remainder, np.abs(self.value) + np.abs(offset))
 
     def __mul__(self, other: "TaylorModel") -> "TaylorModel":
         """Returns the models of products; one function multiplies all of the other's."""
         a, b = ((models.parts, models._ranges, models.remainder) for models in (self, other))
-        return TaylorModel(self.half, *kernels.product(*a, *b))
+        return TaylorModel(*kernels.product(*a, *b))
 
     def dot(self, other: "TaylorModel") -> "TaylorModel":
         """Returns the model (n, 1) of the sum of the products of the functions."""
         return (self * other)._sum()
 
     def weighted(self, weights: FloatArray) -> "TaylorModel":
-        """Returns the model (n, 1) of the sum of the functions, times weights (n, k)."""
+        """Returns the model (n, 1) of the sum of the functions, times weights (n, f)."""
         size = np.abs(weights)
         parts = weights[:, None] * self.parts
-        return self._with(parts, size * self.remainder, size * self.magnitude)._sum()
+        return _rounded(parts, size * self.remainder, size * self.magnitude)._sum()
 
     def apply(self, function: Univariate, *, least: float = -np.inf) -> "TaylorModel":
         """Returns the models of a function of each.
@@ -185,119 +194,124 @@ class TaylorModel:
         found = expand(about, np.maximum(self.lower, least), np.maximum(self.upper, least))
         parts, own = self.composed(found, about)
         remainder = np.abs(found.slope) * self.remainder + own
-        return TaylorModel(self.half, parts, (1 + SLACK) * remainder)
+        return TaylorModel(parts, (1 + SLACK) * remainder)
 
     def composed(self, found: Expansion, about: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Returns the parts (n, 6, k) of functions of these, and what they leave out, (n, k).
+        """Returns the parts of functions of these, and what they leave out, (n, f).
 
         That is besides the slope times the remainder of the argument.
 
         Args:
             found: The expansions of the functions.
-            about: What they are about, (n, k); `value`, or near it.
+            about: What they are about, (n, f); `value`, or near it.
         """
         expansion = (found.value, found.slope, found.curvature, found.rest)
         parts, own = kernels.composed(
-            self.half, self.parts, self._ranges, np.ascontiguousarray(about), *expansion
+            self.parts, self._ranges, np.ascontiguousarray(about), *expansion
         )
         return np.asarray(parts), np.asarray(own)
 
     def _sum(self) -> "TaylorModel":
         """Returns the model (n, 1) of the sum of the functions."""
-        sums = (
-            part.sum(axis=-1, keepdims=True)
-            for part in (self.parts, self.remainder, self.magnitude)
+        return _rounded(
+            *(
+                part.sum(axis=-1, keepdims=True)
+                for part in (self.parts, self.remainder, self.magnitude)
+            )
         )
-        return self._with(*sums)
 
-    def _with(
-        self, parts: FloatArray, remainder: FloatArray, magnitude: FloatArray
-    ) -> "TaylorModel":
-        """Returns a model with its rounding, relative to a magnitude, in the remainder."""
-        rounded = (1 + SLACK) * remainder + SLACK * magnitude + TINY
-        return TaylorModel(self.half, parts, rounded)
+    def joined(self, *others: "TaylorModel") -> "TaylorModel":
+        """Returns these functions and those of others over the same patches, in order."""
+        models = (self, *others)
+        return TaylorModel(
+            np.concatenate([model.parts for model in models], axis=-1),
+            np.concatenate([model.remainder for model in models], axis=-1),
+        )
 
 
-def concatenate(models: list[TaylorModel]) -> TaylorModel:
-    """Returns the functions of several models over the same squares, one after another."""
-    return TaylorModel(
-        models[0].half,
-        np.concatenate([model.parts for model in models], axis=-1),
-        np.concatenate([model.remainder for model in models], axis=-1),
-    )
+def _rounded(parts: FloatArray, remainder: FloatArray, magnitude: FloatArray) -> TaylorModel:
+    """Returns a model with its rounding, relative to a magnitude, in the remainder."""
+    return TaylorModel(parts, (1 + SLACK) * remainder + SLACK * magnitude + TINY)
 
 
 @dataclass(frozen=True, eq=False)
 class DualModel:
-    """Models of k functions and of their two partial derivatives, over each of n squares.
+    """Models of f functions and of their d partial derivatives, over each of n patches.
 
     It has the operations of a `TaylorModel` that a composition asks for.
 
     Attributes:
         value: The values of the functions.
-        slopes: Their derivatives by each coordinate.
+        slopes: Their derivatives by each of the d coordinates.
     """
 
     value: TaylorModel
-    slopes: tuple[TaylorModel, TaylorModel]
+    slopes: tuple[TaylorModel, ...]
 
     @classmethod
-    def position(cls, boxes: Boxes) -> "DualModel":
-        """Returns the models of the two coordinates."""
-        value = TaylorModel.position(boxes)
-        first, second = (
-            TaylorModel.constant(boxes.half, np.broadcast_to(unit, (len(boxes), 2)))
-            for unit in np.eye(2)
-        )
-        return cls(value, (first, second))
+    def position(cls, patches: Patches, held: Sequence[float] = ()) -> "DualModel":
+        """Returns the models of the d coordinates, and of numbers after them."""
+        value, d = TaylorModel.position(patches, held), patches.centers.shape[1]
+        slopes = []
+        for unit in np.eye(d, d + len(held)):
+            parts = np.zeros_like(value.parts)
+            parts[:, 0] = unit
+            slopes.append(TaylorModel(parts, value.remainder))
+        return cls(value, tuple(slopes))
 
     @property
     def divergence(self) -> TaylorModel:
-        """The model (n, 1) of the divergence of two functions."""
-        along = np.zeros_like(self.value.value)
-        first, second = along.copy(), along.copy()
-        first[:, 0], second[:, 1] = 1.0, 1.0
-        return self.slopes[0].weighted(first) + self.slopes[1].weighted(second)
+        """The model (n, 1) of the divergence of d functions."""
+        first, *others = (
+            slope.functions(slice(i, i + 1)) for i, slope in enumerate(self.slopes)
+        )
+        return sum(others, first)
+
+    def functions(self, columns: slice) -> "DualModel":
+        """Returns some of the functions."""
+        return self._each(lambda model: model.functions(columns))
 
     def __add__(self, other: "DualModel") -> "DualModel":
-        a, b = self.slopes, other.slopes
-        return DualModel(self.value + other.value, (a[0] + b[0], a[1] + b[1]))
+        pairs = zip(self.slopes, other.slopes, strict=True)
+        return DualModel(self.value + other.value, tuple(a + b for a, b in pairs))
 
     def __sub__(self, other: "DualModel") -> "DualModel":
         return self + other.scaled(-1.0)
 
-    def scaled(self, factor: float) -> "DualModel":
-        """Returns the functions times a number."""
-        first, second = self.slopes
-        return DualModel(
-            self.value.scaled(factor), (first.scaled(factor), second.scaled(factor))
-        )
+    def scaled(self, factor: Numbers) -> "DualModel":
+        """Returns the functions times numbers."""
+        return self._each(lambda model: model.scaled(factor))
 
-    def shifted(self, offset: float) -> "DualModel":
-        """Returns the functions plus a number."""
+    def shifted(self, offset: Numbers) -> "DualModel":
+        """Returns the functions plus numbers."""
         return DualModel(self.value.shifted(offset), self.slopes)
 
     def __mul__(self, other: "DualModel") -> "DualModel":
         a, b = self.value, other.value
-        first, second = (
-            mine * b + a * theirs
-            for mine, theirs in zip(self.slopes, other.slopes, strict=True)
-        )
-        return DualModel(a * b, (first, second))
+        pairs = zip(self.slopes, other.slopes, strict=True)
+        return DualModel(a * b, tuple(mine * b + a * theirs for mine, theirs in pairs))
 
     def dot(self, other: "DualModel") -> "DualModel":
         """Returns the sum of the products of the functions."""
         a, b = self.value, other.value
-        first, second = (
-            mine.dot(b) + a.dot(theirs)
-            for mine, theirs in zip(self.slopes, other.slopes, strict=True)
-        )
-        return DualModel(a.dot(b), (first, second))
+        pairs = zip(self.slopes, other.slopes, strict=True)
+        slopes = tuple(mine.dot(b) + a.dot(theirs) for mine, theirs in pairs)
+        return DualModel(a.dot(b), slopes)
 
     def apply(self, function: Differentiable, *, least: float = -np.inf) -> "DualModel":
         """Returns a function of each; see `TaylorModel.apply`."""
         slope = self.value.apply_slope(function, least=least)
-        first, second = self.slopes
-        return DualModel(
-            self.value.apply(function, least=least), (slope * first, slope * second)
-        )
+        value = self.value.apply(function, least=least)
+        return DualModel(value, tuple(slope * inner for inner in self.slopes))
+
+    def joined(self, *others: "DualModel") -> "DualModel":
+        """Returns these functions and those of others over the same patches, in order."""
+        columns = zip(*(model.slopes for model in (self, *others)), strict=True)
+        slopes = tuple(first.joined(*rest) for first, *rest in columns)
+        return DualModel(self.value.joined(*(model.value for model in others)), slopes)
+
+    def _each(self, change: Callable[[TaylorModel], TaylorModel]) -> "DualModel":
+        return DualModel(change(self.value), tuple(map(change, self.slopes)))
+
+
+Model = TypeVar("Model", TaylorModel, DualModel)

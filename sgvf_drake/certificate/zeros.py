@@ -1,13 +1,12 @@
 """All zeros of a planar field in a square, proved: none is missed and none is told twice."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from sgvf_drake.arrays import BoolArray, FloatArray, IntArray
 from sgvf_drake.certificate.boxes import Answer, Boxes, Division, divide
-from sgvf_drake.certificate.field_model import dual_score, has_dual, model_score, simplify
+from sgvf_drake.certificate.field_model import DUAL, TAYLOR, Algebra, has_dual, simplify
 from sgvf_drake.certificate.isolation import (
     ENLARGED,
     BoundedMap,
@@ -16,8 +15,8 @@ from sgvf_drake.certificate.isolation import (
     may_be_isolated,
 )
 from sgvf_drake.certificate.kernels import SLACK
-from sgvf_drake.certificate.network_model import dual_network, model_network
-from sgvf_drake.certificate.taylor_model import DualModel, TaylorModel
+from sgvf_drake.certificate.patches import Patches
+from sgvf_drake.certificate.taylor_model import DualModel, Model, TaylorModel
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import GuidingField, check_position_alone
 from sgvf_drake.lyapunov import PartName, PlanarZero, PlanarZeros
@@ -131,9 +130,9 @@ def enclose_zeros(field: GuidingField, part: PartName = "guiding") -> ZeroList:
     check_position_alone(field)
     if field.dim != 2:
         raise ConfigurationError(f"zeros are enclosed of planar fields, not in {field.dim}-D")
-    if not has_dual(field):
+    if len(field.ends) or not has_dual(field):
         raise ConfigurationError("zeros are enclosed of smooth fields of closed paths only")
-    function = _part_of(field, part)
+    function = _Part(field, part)
     rounding = SLACK * (HALF_WIDTH + np.abs(field.cloud.center).max() / field.cloud.unit_length)
     # Enclosures are as much wider as their centres and sides may move in the user's unit.
     found = _Vanishing(function, HALF_WIDTH, 2 * rounding).prove()
@@ -154,27 +153,29 @@ def enclose_zeros(field: GuidingField, part: PartName = "guiding") -> ZeroList:
 
 
 @dataclass(frozen=True, eq=False)
-class _Bounded:
-    """Two functions by what makes their models."""
+class _Part:
+    """A part of a field; of m, a positive multiple.
 
-    model: Callable[[Boxes], TaylorModel]
-    dual: Callable[[Boxes], DualModel]
+    Attributes:
+        field: The field.
+        name: Which part it is.
+    """
 
+    field: GuidingField
+    name: PartName
 
-def _part_of(field: GuidingField, part: PartName) -> BoundedMap:
-    """Returns a part of a field; of m, a positive multiple."""
-    score, network = field.score_model, field.tangent_network
-    S = _Bounded(
-        lambda boxes: model_score(score, boxes), lambda boxes: dual_score(score, boxes)
-    )
-    N = _Bounded(
-        lambda boxes: model_network(network, boxes), lambda boxes: dual_network(network, boxes)
-    )
-    m = _Bounded(
-        lambda boxes: simplify(field.composition, S.model(boxes), N.model(boxes)),
-        lambda boxes: simplify(field.composition, S.dual(boxes), N.dual(boxes)),
-    )
-    return {"guiding": m, "score": S, "tangent": N}[part]
+    def model(self, patches: Patches) -> TaylorModel:
+        """See `BoundedMap`."""
+        return self._in(TAYLOR, patches)
+
+    def dual(self, patches: Patches) -> DualModel:
+        """See `BoundedMap`."""
+        return self._in(DUAL, patches)
+
+    def _in(self, algebra: Algebra[Model], patches: Patches) -> Model:
+        S, N = algebra.score_and_tangent(self.field, patches)
+        parts = {"score": S, "tangent": N}
+        return parts.get(self.name) or simplify(self.field.composition, S, N)
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,7 +213,7 @@ class _Vanishing:
     def _ask(self, boxes: Boxes) -> Answer:
         facts = np.full((len(boxes), 6), np.nan)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            m = self.function.model(boxes)
+            m = self.function.model(boxes.patches)
             facts[:, DIRECTION] = directions_of(m)
             asked = np.isnan(facts[:, 0]) & may_be_isolated(m) & ~at_border(boxes, self.half)
             if asked.any():
@@ -270,7 +271,7 @@ def _described(
     """Returns zeros in the unit of the waypoints, with their kinds."""
     z, half = facts[:, POINT], facts[:, RADIUS]
     points, radius = field.cloud.denormalize(z), (half - rounding) * field.cloud.unit_length
-    kinds = _kinds(function.dual(Boxes(z, half)), facts[:, INDEX])
+    kinds = _kinds(function.dual(Boxes(z, half).patches), facts[:, INDEX])
     return tuple(
         EnclosedZero(point, int(index), *kind, float(side))
         for point, side, index, kind in zip(points, radius, facts[:, INDEX], kinds, strict=True)

@@ -76,9 +76,7 @@ class CertifiedField:
         levels = MixtureModel(mixture_of(self.field, sigma), lowest)
         z = self.field.cloud.normalize(x)
         parts = np.array_split(z, len(z) // CHUNK + 1)
-        return np.concatenate(
-            [levels.level_range(Boxes(part, np.zeros(len(part))))[1] for part in parts]
-        )
+        return np.concatenate([levels.level_range(Boxes.points(part))[1] for part in parts])
 
     def e_star(self, V: FloatArray) -> FloatArray:
         """Returns what the levels of V tolerate, (n,), as a part of the speed.

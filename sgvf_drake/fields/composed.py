@@ -130,9 +130,9 @@ class ScoreInducedField(NormalisedByCloud):
     ) -> tuple[FloatArray, FloatArray]:
         """Returns s and v at normalised points, (n, d) each."""
         s, v = self.composition.components(S, N)
-        if self._rest is not None:
-            w = self._rest.weight(z)[:, None]
-            s_rest, v_rest = self._rest.composition.components(S, N)
+        if self.rest is not None:
+            w = self.rest.weight(z)[:, None]
+            s_rest, v_rest = self.rest.composition.components(S, N)
             s, v = s + w * (s_rest - s), v + w * (v_rest - v)
         return s, v
 
@@ -145,10 +145,10 @@ class ScoreInducedField(NormalisedByCloud):
         """
         m, by_score, by_tangent = self.composition.value_and_partials(S, N)
         J = by_score @ dS + by_tangent @ dN
-        if self._rest is None:
+        if self.rest is None:
             return m, J
-        w, dw = self._rest.weight_and_gradient(z)
-        rest, by_score, by_tangent = self._rest.composition.value_and_partials(S, N)
+        w, dw = self.rest.weight_and_gradient(z)
+        rest, by_score, by_tangent = self.rest.composition.value_and_partials(S, N)
         change = rest - m
         J_rest = by_score @ dS + by_tangent @ dN
         J = J + w[:, None, None] * (J_rest - J)
@@ -156,7 +156,8 @@ class ScoreInducedField(NormalisedByCloud):
         return m + w[:, None] * change, J
 
     @cached_property
-    def _rest(self) -> Rest | None:
+    def rest(self) -> Rest | None:
+        """How it comes to rest at its ends, normalised; None: it has none."""
         if len(self.ends) == 0 or not isinstance(self.composition, RobustComposition):
             return None
         return Rest.at(self.cloud.normalize(self.ends), self.composition)

@@ -105,18 +105,25 @@ class StrandMixture:
         """Kappa of each component, (M,)."""
         return np.where(self.one_way, ONE_WAY_SHARPNESS, TWO_WAY_SHARPNESS)
 
+    def by_direction(self, g: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Returns what intended directions (n, d) make of the components, (n, M) each.
+
+        They are added to the exponents of the weights; they are how far each component pulls
+        along its T; and the derivative of that by T.g.
+        """
+        along = self.sharpness * (g @ self.directions.T)
+        share = np.where(self.one_way, 1.0, np.tanh(along))
+        curvature = np.where(self.one_way, 0.0, self.sharpness * (1 - share**2))
+        return np.where(self.one_way, along, _log_cosh(along)), share, curvature
+
     def _weights(
         self, x: FloatArray, g: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """The weights of the components, how far each pulls along T, and d share / d T.g."""
         # Differences before squares: |x|^2 - 2 x.p + |p|^2 cancels near the path.
         squares = sum((x[:, None, k] - self.points[None, :, k]) ** 2 for k in range(x.shape[1]))
-        along = self.sharpness * (g @ self.directions.T)
-        share = np.where(self.one_way, 1.0, np.tanh(along))
-        curvature = np.where(self.one_way, 0.0, self.sharpness * (1 - share**2))
-        exponents = np.where(self.one_way, along, _log_cosh(along)) - squares / (
-            2 * self.sigma**2
-        )
+        by_direction, share, curvature = self.by_direction(g)
+        exponents = by_direction - squares / (2 * self.sigma**2)
         weights = np.exp(exponents - exponents.real.max(axis=1, keepdims=True))
         return weights / weights.sum(axis=1, keepdims=True), share, curvature
 

@@ -31,7 +31,7 @@ ROUNDING = 1e-12
 
 def by_models(network, boxes):
     parts = [boxes[start : start + CHUNK] for start in range(0, len(boxes), CHUNK)]
-    models = [model_network(network, part) for part in parts]
+    models = [model_network(network, part.patches) for part in parts]
     return (
         np.concatenate([model.lower for model in models]),
         np.concatenate([model.upper for model in models]),

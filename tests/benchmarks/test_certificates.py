@@ -12,7 +12,7 @@ import sgvf_drake as sgvf
 from sgvf_drake.certificate import check
 from sgvf_drake.certificate.boxes import BoxSizes
 from sgvf_drake.certificate.mixture_model import MixtureModel, lowest_of, mixture_of
-from tests.sgvf_drake.certificate.audit import audit, random_boxes
+from tests.sgvf_drake.certificate.audit import audit, random_patches
 
 from .measuring import SEEDS, timed, trained
 
@@ -100,8 +100,8 @@ def audited(shape, recipe, ratio):
     squares, rng = BoxSizes.of(field), np.random.default_rng(0)
     halves = (squares.first, squares.ring, squares.unit / 16, squares.unit / 128, squares.last)
     for half in halves:
-        boxes = random_boxes(field, half, SQUARES, rng)
-        for name, found in audit(field, levels, boxes, rng).items():
+        patches = random_patches(field, half, 2, SQUARES, rng)
+        for name, found in audit(field, levels, patches, rng).items():
             size = f"unit / {squares.unit / half:.0f}"
             yield {"half-side": size, "of": name} | dict(zip(FOUND, found, strict=True))
 

@@ -1,7 +1,7 @@
 """Fields and their derivatives in ball arithmetic, fast enough for many points.
 
 The weights are matrices of balls, and what is carried through the layers are the units beside
-their two partial derivatives, so that one pass gives a network and its Jacobian.
+their partial derivatives, so that one pass gives a network and its Jacobian.
 """
 
 from dataclasses import dataclass
@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from flint import arb, arb_mat, arb_series
 import numpy as np
 
-from sgvf_drake.fields import GaussianMixture
+from sgvf_drake.fields import GaussianMixture, HeldField, StrandMixture, StrandNetwork
 
-from .balls import FUNCTIONS, composed, mixture_at, rectified, sigmoid
+from .balls import FUNCTIONS, mixture_at, rectified, rested, sigmoid, strands_at, vector
 
 
 def matrix(array):
@@ -24,34 +24,38 @@ def dual(value, slope):
 
 
 class BallNetwork:
-    """The outputs of a network of balls, each with its two partial derivatives."""
+    """The outputs of a network of balls, each with its derivatives by d of the inputs."""
 
-    def __init__(self, network):
+    def __init__(self, network, dim=2):
+        self.dim = dim
         self.layers = [
-            affine_of(weight, bias)
+            affine_of(weight, bias, dim)
             for weight, bias in zip(network.weights, network.biases, strict=True)
         ]
         self.activation = network.activation.name
         self.angles = None
         if network.features is not None:
-            self.angles = affine_of(network.features.frequencies, network.features.phases)
+            features = network.features
+            self.angles = affine_of(features.frequencies, features.phases, dim)
 
     def __call__(self, z):
-        """Returns [(value, slope, slope), ...] at a point, or over a square, of balls.
+        """Returns [(value, slope, ...), ...] at a point, or over a square, of balls.
 
-        Inputs after the first two are constant.
+        Inputs after the first d are constant.
         """
-        rows = [[x, *(arb(int(k == j)) for j in range(2))] for k, x in enumerate(z)]
+        rows = [[x, *(arb(int(k == j)) for j in range(self.dim))] for k, x in enumerate(z)]
         if self.angles is not None:
-            angles = applied(self.angles, rows)
-            rows = [unit for name in ("sine", "cosine") for unit in units_of(name, angles)]
+            passed = self.angles[0].ncols()
+            angles = applied(self.angles, rows[:passed])
+            units = [unit for name in ("sine", "cosine") for unit in units_of(name, angles)]
+            rows = units + rows[passed:]
         for layer in self.layers[:-1]:
             rows = units_of(self.activation, applied(layer, rows))
         return applied(self.layers[-1], rows)
 
 
-def affine_of(weight, bias):
-    columns = np.column_stack([bias, np.zeros((len(bias), 2))])
+def affine_of(weight, bias, dim):
+    columns = np.column_stack([bias, np.zeros((len(bias), dim))])
     return matrix(weight), matrix(columns)
 
 
@@ -106,7 +110,7 @@ class Values:
         N: Outputs of the tangent network.
         S: The raw score.
         m: The field.
-        slopes: The derivatives of m by either coordinate.
+        slopes: The derivatives of m by each coordinate.
     """
 
     N: list
@@ -116,34 +120,63 @@ class Values:
 
 
 class BallField:
-    """A guiding field, in normalised units."""
+    """A guiding field, or a directed one that is held, in normalised units."""
 
     def __init__(self, field):
-        self.composition = field.composition
-        self.tangent = BallNetwork(field.tangent_network)
+        self.g = vector(field.g) if isinstance(field, HeldField) else None
+        field = field.field if isinstance(field, HeldField) else field
+        self.composition, self.rest, self.dim = field.composition, field.rest, field.dim
+        if self.g is not None:
+            self.strands = field.strands
+            if isinstance(self.strands, StrandNetwork):
+                self.network = BallNetwork(self.strands.network, self.dim)
+            return
+        self.tangent = BallNetwork(field.tangent_network, self.dim)
         score = field.score_model
         self.mixture = score if isinstance(score, GaussianMixture) else None
         if self.mixture is None:
-            self.score = BallNetwork(score.network)
+            self.score = BallNetwork(score.network, self.dim)
             self.scale = arb(score.scale)
 
     def __call__(self, z):
         """Returns the values at a point of balls."""
-        tangent = directions(self.tangent(z))
-        score = self.raw_score(z)
-        fields = [composed(self.composition, S, N) for S, N in zip(score, tangent, strict=True)]
-        N, S, m = ([entry[0] for entry in part[0]] for part in (tangent, score, fields))
+        pairs = [self.score_and_tangent(z, k) for k in range(self.dim)]
+        lines = [line_of(z, k) for k in range(self.dim)]
+        fields = [
+            rested(self.composition, self.rest, line, S, N)
+            for line, (S, N) in zip(lines, pairs, strict=True)
+        ]
+        N, S, m = ([entry[0] for entry in part] for part in (*pairs[0][::-1], fields[0]))
         return Values(N, S, m, [[entry[1] for entry in field] for field in fields])
 
-    def raw_score(self, z):
-        """The raw score along either coordinate, as power series."""
-        if self.mixture is None:
-            rows = self.score([*z, arb(1)])
-            return [[entry / self.scale for entry in part] for part in directions(rows)]
-        lines = [[dual(value, int(k == j)) for j, value in enumerate(z)] for k in range(2)]
-        return [[-entry for entry in mixture_at(self.mixture, line)[1]] for line in lines]
+    def score_and_tangent(self, z, k):
+        """The raw score and the tangent along a coordinate, as power series."""
+        if self.g is not None:
+            return self.of_strands(z, k)
+        N = along(self.tangent(z), k)
+        if self.mixture is not None:
+            return [-entry for entry in mixture_at(self.mixture, line_of(z, k))[1]], N
+        return [entry / self.scale for entry in along(self.score([*z, arb(1)]), k)], N
+
+    def of_strands(self, z, k):
+        if isinstance(self.strands, StrandMixture):
+            return strands_at(self.strands, line_of(z, k), self.g)
+        output = along(self.network([*z, *self.g]), k)
+        if self.strands.two_way:
+            mirrored = along(self.network([*z, *(-x for x in self.g)]), k)
+            signs = [1] * self.dim + [-1] * self.dim
+            output = [
+                (a + sign * b) / 2 for a, b, sign in zip(output, mirrored, signs, strict=True)
+            ]
+        sigma = arb(self.strands.sigma)
+        return [entry / sigma for entry in output[: self.dim]], output[self.dim :]
 
 
-def directions(rows):
-    """Values with their two derivatives, as power series along either coordinate."""
-    return [[dual(row[0], row[1 + k]) for row in rows] for k in range(2)]
+def along(rows, k):
+    """Values with their derivatives, as power series along a coordinate."""
+    return [dual(row[0], row[1 + k]) for row in rows]
+
+
+def line_of(z, k):
+    """A point, as power series along a coordinate."""
+    return [dual(value, int(k == j)) for j, value in enumerate(z)]

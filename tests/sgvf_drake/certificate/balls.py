@@ -3,9 +3,12 @@
 A float64 becomes the ball of itself, and every result holds the true value.
 """
 
+from itertools import combinations_with_replacement, product
+
 from flint import arb, arb_series, ctx
 import numpy as np
 
+from sgvf_drake.certificate.patches import Patches
 from sgvf_drake.fields.composition import (
     DIRECTION_SOFTENING,
     PROJECTION_POWER,
@@ -14,6 +17,7 @@ from sgvf_drake.fields.composition import (
     NormalisedComposition,
     PaperComposition,
 )
+from sgvf_drake.fields.strands import ONE_WAY_SHARPNESS, TWO_WAY_SHARPNESS
 
 ctx.prec = 256
 
@@ -65,6 +69,7 @@ OF_A_SQUARE = {
     "squash": root_of(lambda r: arb(1) if r == 0 else r.tanh() / r),
     "sech of root": root_of(lambda r: r.sech()),
     "inverse sinhc": root_of(lambda r: arb(1) if r == 0 else r / r.sinh()),
+    "decay": lambda u: (-u).exp(),
 }
 """A function of sqrt u, at u >= 0."""
 
@@ -73,6 +78,7 @@ SLOPES_OF_A_SQUARE = {
     "squash": root_of(lambda r: (r.sech() ** 2 - r.tanh() / r) / (2 * r**2)),
     "sech of root": root_of(lambda r: -r.sech() * r.tanh() / (2 * r)),
     "inverse sinhc": root_of(lambda r: (1 - r * r.coth()) / (2 * r * r.sinh())),
+    "decay": lambda u: -(-u).exp(),
 }
 """Its derivative, by u, at u > 0."""
 
@@ -111,6 +117,40 @@ def mixture_at(mixture, z):
     return -total.log(), [mean / variance for mean in means]
 
 
+def strands_at(strands, z, g):
+    """The score and the tangent of directed strands."""
+    variance = arb(strands.sigma) ** 2
+    weights, offsets, pulls = [], [], []
+    for point, T, one_way in zip(
+        strands.points, strands.directions, strands.one_way, strict=True
+    ):
+        along = arb(ONE_WAY_SHARPNESS if one_way else TWO_WAY_SHARPNESS) * dot(vector(T), g)
+        y = [a - b for a, b in zip(vector(point), z, strict=True)]
+        factor = along.exp() if one_way else along.cosh()
+        weights.append((-dot(y, y) / (2 * variance)).exp() * factor)
+        offsets.append(y)
+        pulls.append([x * (1 if one_way else along.tanh()) for x in vector(T)])
+    total = sum(weights, arb(0))
+    S, N = (
+        [dot(weights, [row[k] for row in rows]) / total for k in range(len(z))]
+        for rows in (offsets, pulls)
+    )
+    return [entry / variance for entry in S], N
+
+
+def rested(composition, rest, z, S, N):
+    """m at a point, with the rest at terminal ends, if there are any."""
+    m = composed(composition, S, N)
+    if rest is None:
+        return m
+    away = arb(1)
+    for end in rest.ends:
+        offset = [a - b for a, b in zip(z, vector(end), strict=True)]
+        away = away * (1 - (-dot(offset, offset) / (2 * arb(rest.width) ** 2)).exp())
+    at_rest = composed(rest.composition, S, N)
+    return [a + (1 - away) * (b - a) for a, b in zip(m, at_rest, strict=True)]
+
+
 def composed(composition, S, N):
     """m = s + v of a composition, by its formulas; of balls, or of power series."""
     gain = arb(composition.gain)
@@ -141,24 +181,36 @@ def direction(n, softening):
     return [entry / size for entry in n]
 
 
-def model_at(model, row, column, d):
-    """The polynomial of a model at a step d, and its remainder, as balls."""
-    x, y = vector(d)
-    J, q = vector(model.jacobian[row, :, column]), vector(model.quadratic[row, :, column])
-    value = arb(float(model.value[row, column]))
-    polynomial = value + J[0] * x + J[1] * y + q[0] * x * x + q[1] * x * y + q[2] * y * y
+def model_at(model, row, column, u):
+    """The polynomial of a model at parameters u, and its remainder, as balls."""
+    monomials = [arb(1), *vector(u)]
+    monomials += [a * b for a, b in combinations_with_replacement(monomials[1:], 2)]
+    polynomial = dot(vector(model.parts[row, :, column]), monomials)
     return polynomial, arb(float(model.remainder[row, column]))
 
 
-def point_of(boxes, d):
-    """The point of the first square at a step d from its centre, as balls."""
-    return [arb(float(c)) + arb(float(x)) for c, x in zip(boxes.centers[0], d, strict=True)]
+def point_of(patches, u, row=0):
+    """The point c + A u of a patch, as balls."""
+    steps = [dot(vector(line), vector(u)) for line in patches.axes[row]]
+    return [c + step for c, step in zip(vector(patches.centers[row]), steps, strict=True)]
 
 
-def assert_inside(model, d, values):
-    """Asserts that the models of the first square hold values at a step d."""
+def corners(k):
+    """The corners, the middles of the sides, and so on, and the centre, (3^k, k)."""
+    return np.array(list(product((-1.0, 0.0, 1.0), repeat=k)))
+
+
+def random_patch(rng, half, dim, k, spread=4.0):
+    """One patch of k parameters, turned at random, with sides of up to two half-sides."""
+    turned = np.linalg.qr(rng.standard_normal((dim, dim)))[0][:, :k]
+    axes = half * turned * rng.uniform(0.1, 1, k)
+    return Patches(rng.uniform(-spread, spread, (1, dim)), axes[None])
+
+
+def assert_inside(model, u, values):
+    """Asserts that the models of the first patch hold values at parameters u."""
     for column, value in enumerate(values):
-        polynomial, remainder = model_at(model, 0, column, d)
+        polynomial, remainder = model_at(model, 0, column, u)
         assert abs(value - polynomial) <= remainder
         assert arb(float(model.lower[0, column])) <= value
         assert value <= arb(float(model.upper[0, column]))

@@ -33,7 +33,7 @@ def trained(robust_field):
     """A field, V with levels from zero on, and V again as the sampled checks have it."""
     field = robust_field
     mixture = GaussianMixture(field.cloud.normalize(field.mixture.points), field.sigma)
-    at = Boxes(mixture.points[:1], np.zeros(1))
+    at = Boxes.points(mixture.points[:1])
     function = LyapunovFunction(mixture)
     offset = MixtureModel(mixture).level_range(at)[0][0] - function(mixture.points[:1])[0]
     return field, MixtureModel(mixture, float(offset)), function

@@ -11,6 +11,7 @@ import pytest
 from sgvf_drake.certificate.expansions import (
     ACTIVATIONS,
     COSINE,
+    DECAY,
     FALL,
     INVERSE_ROOT,
     INVERSE_SINHC,
@@ -32,6 +33,7 @@ CONVEX = {
     "squash": SQUASH,
     "sech of root": SECH_OF_ROOT,
     "inverse sinhc": INVERSE_SINHC,
+    "decay": DECAY,
 }
 
 anywhere = st.one_of(
@@ -93,7 +95,7 @@ def test_a_function_of_a_square_is_inside_of_its_expansion(
         assert excess(slope, SLOPES_OF_A_SQUARE[name], u, low, high, at) <= 0
 
 
-@pytest.mark.parametrize("name", ["squash", "sech of root", "inverse sinhc"])
+@pytest.mark.parametrize("name", ["squash", "sech of root", "inverse sinhc", "decay"])
 def test_a_function_of_a_square_may_start_at_zero(name):
     for high in (0.0, 1e-20, 1e-3, 0.02, 0.5, 3.0, 1e4):
         for at in (0.0, high / 3, high):

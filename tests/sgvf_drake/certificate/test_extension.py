@@ -11,7 +11,7 @@ from sgvf_drake.certificate.sublevel_sets import extend
 
 
 def level_at(levels, z):
-    return levels.level_range(Boxes(z, np.zeros(len(z))))[0]
+    return levels.level_range(Boxes.points(z))[0]
 
 
 def above(field, certificate, c_out):

@@ -16,6 +16,8 @@ from sgvf_drake.certificate.orbits import NUM_SECTORS, Contraction, Turning
 from sgvf_drake.fields import GaussianMixture
 from tests.helpers import circle
 
+from .balls import random_patch
+
 seeds = st.integers(0, 2**32 - 1)
 
 
@@ -30,12 +32,12 @@ def normalised(field, z):
 def test_derivatives_are_inside_of_their_models(make_field, recipe, seed, exponent):
     """Held against the analytic Jacobian, which is right to rounding."""
     rng = np.random.default_rng(seed)
-    field = make_field(recipe, seed=int(rng.integers(1000)))
-    boxes = Boxes(rng.uniform(-4, 4, (1, 2)), np.array([2.0**exponent]))
+    field = make_field(recipe, seed=int(rng.integers(1000)), ends=int(rng.integers(2)))
+    patch = random_patch(rng, 2.0**exponent, 2, int(rng.integers(1, 3)))
     with np.errstate(over="ignore", invalid="ignore"):
-        models = dual_field(field, boxes)
-    d = boxes.half[0] * rng.uniform(-1, 1, (40, 2))
-    m, J = normalised(field, boxes.centers + d)
+        models = dual_field(field, patch)
+    u = rng.uniform(-1, 1, (40, patch.axes.shape[2]))
+    m, J = normalised(field, patch.centers + u @ patch.axes[0].T)
     rounding = 1e-9 * (1 + np.abs(J).max())
     parts = ((models.value, m), (models.slopes[0], J[..., 0]), (models.slopes[1], J[..., 1]))
     for model, values in (*parts, (models.divergence, np.trace(J, 0, 1, 2)[:, None])):
@@ -50,7 +52,7 @@ def tube(robust_field):
     field = robust_field
     mixture = GaussianMixture(field.cloud.normalize(field.mixture.points), field.sigma)
     levels = MixtureModel(mixture)
-    lowest = levels.level_range(Boxes(mixture.points, np.zeros(len(mixture.points))))[0].min()
+    lowest = levels.level_range(Boxes.points(mixture.points))[0].min()
     levels = replace(levels, lowest=float(lowest))
     return field, levels, 0.03
 

@@ -18,7 +18,7 @@ def circle(radius, center=(0.0, 0.0)):
 def levels_of(points, sigma=0.2):
     mixture = GaussianMixture(points, sigma)
     free = MixtureModel(mixture)
-    at = Boxes(points[:1], np.zeros(1))
+    at = Boxes.points(points[:1])
     lowest = float(free.level_range(at)[0][0] - LyapunovFunction(mixture)(points[:1])[0])
     return MixtureModel(mixture, lowest)
 
@@ -54,7 +54,7 @@ def test_a_gap_below_the_level_opens_the_ring():
     """What a coarse cover alone would call a ring is none, and the outer cover tells."""
     points = circle(2.0)[4:]
     levels = levels_of(points, sigma=0.08)
-    ends = Boxes(circle(2.0)[1:2], np.zeros(1))
+    ends = Boxes.points(circle(2.0)[1:2])
     gap = float(levels.level_range(ends)[0][0])
     open_ring = shape_of_band(levels, 0.3, gap / 2, 2.0**-7)
     assert open_ring.holes == (0,)
@@ -66,7 +66,7 @@ def test_a_cover_holds_the_set_and_not_much_more():
     levels = levels_of(circle(2.0))
     found = cover(levels, 2.0, 2.0**-5)
     x = np.random.default_rng(0).uniform(-4, 4, (20_000, 2))
-    V = levels.level_range(Boxes(x, np.zeros(len(x))))[0]
+    V = levels.level_range(Boxes.points(x))[0]
     rows, columns = found.cells_of(x).T
     covered = found.inside[rows, columns]
     assert covered[V <= 2.0].all()

@@ -7,9 +7,9 @@ import pytest
 
 from sgvf_drake.certificate import enclose_zeros
 from sgvf_drake.certificate.boxes import Boxes, Division
-from sgvf_drake.certificate.field_model import model_field, model_score, simplify
+from sgvf_drake.certificate.field_model import TAYLOR, model_field, simplify
 from sgvf_drake.certificate.isolation import isolate
-from sgvf_drake.certificate.network_model import model_network
+from sgvf_drake.certificate.patches import Patches
 from sgvf_drake.certificate.taylor_model import DualModel, TaylorModel
 from sgvf_drake.certificate.zeros import HALF_WIDTH, _distinct, _grid, proved_winding_number
 from sgvf_drake.exceptions import ConfigurationError
@@ -158,9 +158,9 @@ def test_a_direction_has_the_zeros_of_the_sum(make_field):
 @pytest.mark.parametrize("recipe", ["robust", "paper"])
 def test_what_is_bounded_is_a_positive_multiple_of_m(make_field, recipe):
     field = make_field(recipe)
-    boxes = Boxes(np.random.default_rng(3).uniform(-5, 5, (50, 2)), np.zeros(50))
-    S, N = model_score(field.score_model, boxes), model_network(field.tangent_network, boxes)
-    multiple, m = simplify(field.composition, S, N).value, model_field(field, boxes).value
+    points = Patches.points(np.random.default_rng(3).uniform(-5, 5, (50, 2)))
+    S, N = TAYLOR.score_and_tangent(field, points)
+    multiple, m = simplify(field.composition, S, N).value, model_field(field, points).value
     cross = multiple[:, 0] * m[:, 1] - multiple[:, 1] * m[:, 0]
     lengths = np.linalg.norm(multiple, axis=1) * np.linalg.norm(m, axis=1)
     assert np.abs(cross).max() < 1e-12 * lengths.max()
@@ -212,15 +212,14 @@ def test_enclosures_of_one_zero_are_told_from_those_of_two():
 class Uncertain:
     """Functions that are the coordinates to within 0.01, and their slopes to within 0.45."""
 
-    def model(self, boxes):
-        position = TaylorModel.position(boxes)
+    def model(self, patches):
+        position = TaylorModel.position(patches)
         return replace(position, remainder=position.remainder + 0.01)
 
-    def dual(self, boxes):
-        slopes = (np.tile(row, (len(boxes), 1)) for row in np.eye(2))
-        models = [TaylorModel.constant(boxes.half, slope) for slope in slopes]
-        rough = [replace(model, remainder=model.remainder + 0.45) for model in models]
-        return DualModel(self.model(boxes), rough)
+    def dual(self, patches):
+        slopes = DualModel.position(patches).slopes
+        rough = [replace(slope, remainder=slope.remainder + 0.45) for slope in slopes]
+        return DualModel(self.model(patches), tuple(rough))
 
 
 def test_an_enclosure_reaches_as_far_as_its_bounds_allow_the_zero_to_be():

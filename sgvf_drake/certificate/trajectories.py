@@ -1,0 +1,144 @@
+"""Orbits of m by integration: those that close, and those that come to rest."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from sgvf_drake.arrays import FloatArray
+from sgvf_drake.certificate.field_model import BoundedField
+from sgvf_drake.certificate.rest_ball import RestBall, prove_rest
+from sgvf_drake.fields import ComposedField
+from sgvf_drake.fields.compiled import CompiledField
+
+# The relative and the absolute tolerance, and the longest step, in time at |m| = 1, by which
+# no passage of a plane within `NEAR` is missed.
+TOLERANCE, LONGEST_STEP = 1e-7, 0.1
+# A return to within this is looked at, in U, and one to within `CLOSED` ends the search.
+NEAR, CLOSED = 0.2, 1e-6
+# What an orbit is given to settle, in lengths of its piece; so many laps, none longer than so
+# many lengths.
+SETTLING, LAPS, LONGEST_LAP = 0.2, 6, 3.0
+# An orbit rests where |m| is so small.  Radii of balls of rest that are tried, in U, and how
+# deep in one an orbit is followed.
+STILL, RADII, WELL_INSIDE = 1e-4, (0.05, 0.035, 0.025, 0.0175), 0.6
+# Steps in which it is looked for the time at which an orbit is there.
+STEP = 1 / 64
+
+Solution = Callable[[FloatArray], FloatArray]
+Rate = Callable[[float, FloatArray], FloatArray]
+Event = Callable[[float, FloatArray], float]
+
+
+@dataclass(frozen=True, eq=False)
+class Orbit:
+    """A solution of z' = m(z), in normalised units.
+
+    Attributes:
+        at: From times (n,) to points (d, n).
+        duration: Of a lap, or until it is well inside of its ball of rest.
+        rest: Where it comes to rest; None: it is closed.
+    """
+
+    at: Solution
+    duration: float
+    rest: RestBall | None = None
+
+    @property
+    def closed(self) -> bool:
+        """Whether it is periodic."""
+        return self.rest is None
+
+
+def closed_orbit(field: BoundedField, start: FloatArray, length: float) -> Orbit | None:
+    """Returns the closed orbit on which m settles; None if it does not settle on one.
+
+    Args:
+        field: m.
+        start: (d,) where to start, normalised.
+        length: About the time of a lap.
+    """
+    rate = _rate(field)
+    place = _run(rate, start, SETTLING * length).y[:, -1]
+    for _ in range(LAPS):
+        run = _run(rate, place, LONGEST_LAP * length, _return_to(place, rate(0.0, place)))
+        gap, place = place - run.y[:, -1], run.y[:, -1]
+        if run.status != 1 or gap @ gap > NEAR**2 / 4:
+            return None
+        if np.abs(gap).max() < CLOSED:
+            return Orbit(_closed_up(run.sol, run.t[-1], gap), float(run.t[-1]))
+    return None
+
+
+def open_orbit(field: BoundedField, start: FloatArray, length: float) -> Orbit | None:
+    """Returns the orbit from a place to a ball in which all is proved to come to rest, or None.
+
+    Args:
+        field: m.
+        start: (d,) where to start, normalised.
+        length: About the time that it takes.
+    """
+    rate = _rate(field)
+    run = _run(rate, start, LONGEST_LAP * length, _stop(rate))
+    if run.status != 1:
+        return None
+    end = run.y[:, -1]
+    times = np.arange(0.0, run.t[-1], STEP)
+    away = np.linalg.norm(run.sol(times).T - end, axis=1)
+    for ball in (RestBall(tuple(end.tolist()), radius) for radius in RADII):
+        if prove_rest(field, ball).proved:
+            outside = times[away > WELL_INSIDE * ball.radius]
+            return Orbit(run.sol, float(outside.max(initial=0.0)) + STEP, ball)
+    return None
+
+
+def _rate(field: BoundedField) -> Rate:
+    """Returns z' by time and z."""
+    evaluate = CompiledField(field) if isinstance(field, ComposedField) else field
+    center, unit = field.cloud.center, field.cloud.unit_length
+    return lambda _, z: evaluate(center + unit * z)
+
+
+def _return_to(place: FloatArray, normal: FloatArray) -> Event:
+    """Returns the event that an orbit from a place passes it once more, in that direction."""
+
+    def passed(t: float, z: FloatArray) -> float:
+        off = z - place
+        if t < LONGEST_STEP:
+            return 1.0
+        return float(off @ normal) if off @ off < NEAR**2 else -1.0
+
+    passed.terminal, passed.direction = True, 1.0  # type: ignore[attr-defined]
+    return passed
+
+
+def _stop(rate: Rate) -> Event:
+    """Returns the event that m nearly vanishes."""
+
+    def stopped(t: float, z: FloatArray) -> float:
+        return float(np.linalg.norm(rate(t, z)) - STILL)
+
+    stopped.terminal = True  # type: ignore[attr-defined]
+    return stopped
+
+
+def _closed_up(solution: Solution, duration: float, gap: FloatArray) -> Solution:
+    """Returns a solution whose gap between end and start is spread over its duration."""
+    return lambda t: solution(t) + gap[:, None] * t / duration
+
+
+def _run(rate: Rate, start: FloatArray, duration: float, event: Event | None = None) -> Any:
+    """Returns what `solve_ivp` finds."""
+    return solve_ivp(
+        rate,
+        (0.0, duration),
+        start,
+        method="DOP853",
+        events=event,
+        dense_output=True,
+        max_step=LONGEST_STEP,
+        rtol=TOLERANCE,
+        atol=TOLERANCE,
+    )
