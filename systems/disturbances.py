@@ -265,7 +265,7 @@ def SetWind(diagram: Diagram, context: Context, disturbance: Disturbance) -> Non
         context: This diagram's own.
         disturbance: With gusts where the built one has them.
     """
-    mean: Any = diagram.GetSubsystemByName("mean_wind")
+    mean: Any = diagram.GetSubsystemByName(MEAN_WIND)
     own = diagram.GetMutableSubsystemContext(mean, context)
     mean.get_mutable_source_value(own).SetFromVector(np.array(disturbance.wind))
     if disturbance.gust > 0.0:

@@ -16,8 +16,8 @@ from tests.helpers import circle
 
 ROOT = Path(__file__).parents[1]
 COMMANDS = {
-    *("paths", "train", "import", "follow", "fly", "verify", "certify", "singularities"),
-    *("demo", "run", "reproduce"),
+    *("paths", "train", "import", "follow", "fly", "montecarlo", "verify", "certify"),
+    *("singularities", "demo", "run", "reproduce"),
 }
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
 

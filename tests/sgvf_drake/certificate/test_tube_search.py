@@ -25,17 +25,15 @@ def test_frames_are_normal_and_close_and_turn_evenly(dim, seed):
     tangent = closed_curve(dim, seed)
     frame, spin = _frame(tangent, closed=True)
     whole = np.concatenate([tangent[:, :, None], frame], axis=2)
-    assert whole.swapaxes(1, 2) @ whole == pytest.approx(
-        np.broadcast_to(np.eye(dim), whole.shape)
-    )
-    assert np.linalg.det(whole) == pytest.approx(1)
+    unit = np.broadcast_to(np.eye(dim), whole.shape)
+    np.testing.assert_allclose(whole.swapaxes(1, 2) @ whole, unit, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(whole), 1.0)
     assert frame[-1] == pytest.approx(frame[0])
     # Of the whole turn within the normal space, each step makes its share.
     own = frame[:-1].swapaxes(1, 2) @ np.diff(frame, axis=0)
     turning = (own - own.swapaxes(1, 2)) / 2
-    assert turning == pytest.approx(
-        np.broadcast_to(spin / (len(tangent) - 1), turning.shape), abs=1e-4
-    )
+    share = np.broadcast_to(spin / (len(tangent) - 1), turning.shape)
+    np.testing.assert_allclose(turning, share, rtol=0, atol=1e-4)
 
 
 @pytest.fixture(scope="module")
