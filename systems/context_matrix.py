@@ -57,7 +57,7 @@ def SetMatrix(diagram: Diagram, context: Context, name: str, matrix: FloatArray)
         diagram: The one that was built with it.
         context: This diagram's own.
         name: That of the matrix.
-        matrix: Of the same shape.
+        matrix: The new one, of the same shape.
     """
     source: Any = diagram.GetSubsystemByName(f"{name}_matrix")
     own = diagram.GetMutableSubsystemContext(source, context)

@@ -107,10 +107,10 @@ def FusedGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
 
         Args:
             field: As in `GuidanceSystem`, and so is what follows up to `max_approach_rate`.
-            speed: In m/s.
-            altitude: In m.
+            speed: The commanded speed in m/s.
+            altitude: The altitude in m.
             feedforward: Whether there is a feed-forward.
-            max_approach_rate: In 1/s.
+            max_approach_rate: The fastest approach in 1/s.
             parameters: As in `Se3Controller`, and so is what follows up to `saturate`.
             gains: The gains.
             saturate: Whether there are limits.

@@ -19,10 +19,10 @@ STOP = "Stop"
 """The button that ends a flight."""
 
 FASTEST = 4.0
-"""Times the speed at the start that a speed slider reaches by default."""
+"""A speed slider reaches so many times the speed at the start by default."""
 
 SPEED_STEPS = 200
-"""Of a speed slider."""
+"""How many values a speed slider has."""
 
 GAINS = {
     "velocity_gain": (0.5, 6.0, 0.1),
@@ -38,17 +38,17 @@ WIND_STEP = 0.1
 """m/s."""
 
 DIGITS = 9
-"""After the point, of what is set: a slider multiplies its step, and rounds."""
+"""Digits after the point of what is set: a slider multiplies its step, which rounds."""
 
 GAUGE_STEP = 0.001
-"""Of a gauge, which ends at 1."""
+"""The least change that a gauge shows; it ends at 1."""
 
 
 class Control(NamedTuple):
     """What a slider sets.
 
     Attributes:
-        name: Of what is set, as that of a column in a log.
+        name: The name of what is set, as that of a column in a log.
         unit: Its unit, or "".
         lower: The least value.
         upper: The greatest value.
@@ -124,7 +124,7 @@ class LiveControls:
     Args:
         meshcat: Gets the sliders; those of another flight are to be removed before.
         diagram: Has a `GuidanceLoop`; it is not a converted or cloned one.
-        context: Of the whole diagram, with the values that the sliders start from.
+        context: That of the whole diagram, with the values that the sliders start from.
         top_speed: The end of the speed sliders in m/s; None: `FASTEST` times each speed.
         gauges: What is shown below the sliders, by name: a share from 0 to 1, which is read
             from the Context of the whole diagram.
@@ -176,7 +176,7 @@ class LiveControls:
         """Sets what sliders were moved to since the last call, and shows the gauges.
 
         Args:
-            context: Of the whole diagram.
+            context: That of the whole diagram.
         """
         for label, control in self.controls.items():
             shown = self._meshcat.GetSliderValue(label)
@@ -195,7 +195,7 @@ class LiveControls:
         As in the log itself, a change shows from the sample after it on.
 
         Args:
-            times: Of the samples, (T,) in s.
+            times: When the samples were taken, (T,) in s.
         """
         columns = {name: np.full(len(times), start) for name, start in self._start.items()}
         for change in self.changes:

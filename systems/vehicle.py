@@ -131,7 +131,7 @@ class Vehicle(ABC):
     ) -> IdealMotionCapture | MotionCapture:
         """Returns what measures the state; without sensors it is ideal.
 
-        For a `FusedGuidance` it has only the ports that this needs.
+        With `fused` it has no ports but those that a `FusedGuidance` needs.
 
         Raises:
             ConfigurationError: if the vehicle has no such sensors.

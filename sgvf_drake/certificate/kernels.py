@@ -159,7 +159,7 @@ def composed(
     That is besides the slope times the remainder of the argument, (n, f).
 
     Args:
-        parts: Of the arguments.
+        parts: The parts of the arguments.
         own_ranges: Their `ranges`.
         about: (n, f) what the expansions are about: the arguments' values, or near them.
         value: (n, f) of the expansions, as the following; see `Expansion`.

@@ -38,7 +38,7 @@ class Orbit:
 
     Attributes:
         at: From times (n,) to points (d, n).
-        duration: Of a lap, or until it is well inside of its ball of rest.
+        duration: The time of a lap, or until it is well inside of its ball of rest.
         rest: Where it comes to rest; None: it is closed.
     """
 

@@ -169,9 +169,9 @@ class TubeProof:
         proved: Whether what enters the tube follows it for ever, or to its end, and rests
             there if it ends in a ball.
         weak: (K,) the cells of which that was not proved.
-        patches: Over how many patches the field was bounded.
-        time_low: Of a lap, or from the first section to the last, at least.
-        time_high: The same, at most.
+        patches: How many patches the field was bounded over.
+        time_low: What a lap, or the way from the first section to the last, takes at least.
+        time_high: What it takes at most.
         once: Whether a closed orbit passes the first section once a lap.
         contraction: A bound of the logarithm of what a lap makes of lengths across m; None:
             the tube is open, or nothing bounds it.

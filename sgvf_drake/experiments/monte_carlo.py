@@ -113,7 +113,7 @@ class MonteCarlo:
         seed: From 0 on.
         speed: Commanded speed, m/s.
         altitude: Height of the flights where the field is planar, m.
-        duration: Of each flight, s; None: enough for two laps, or to the end.
+        duration: How long each flight takes, s; None: enough for two laps, or to the end.
         compensate: Whether the controller estimates what disturbs it, and makes up for it.
         scale: Metres in one unit of the waypoints.
         certificate: Results of `run_certify`; None: nothing is proved.

@@ -153,4 +153,4 @@ class CompiledMotion:
         y = np.array(y, dtype=np.float64)
         if y.shape != self._shape:
             raise ValueError(f"expected (x, h) of shape {self._shape}, not {y.shape}")
-        return self._evaluate(y, *self.arguments)
+        return self._evaluate(y, self.motion.memory_length, *self.arguments)

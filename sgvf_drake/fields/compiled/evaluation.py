@@ -32,33 +32,9 @@ from sgvf_drake.fields.composition import PROJECTION_POWER
 
 def _make_evaluate(sources: int) -> Any:
     @kernel
-    def evaluate(
-        x: FloatArray,
-        directions: FloatArray,
-        center: FloatArray,
-        unit_length: float,
-        score_sizes: np.ndarray,
-        score_numbers: FloatArray,
-        tangent_sizes: np.ndarray,
-        tangent_numbers: FloatArray,
-        compositions: FloatArray,
-        ends: FloatArray,
-        rest_width: float,
-    ) -> FloatArray:
+    def evaluate(x: FloatArray, directions: FloatArray, *field: Any) -> FloatArray:
         sources  # noqa: B018 (enclosed to be in the key of the cache; see `digest`)
-        m = field_jet(
-            x,
-            directions,
-            center,
-            unit_length,
-            score_sizes,
-            score_numbers,
-            tangent_sizes,
-            tangent_numbers,
-            compositions,
-            ends,
-            rest_width,
-        )
+        m = field_jet(x, directions, *field)
         d, k = m.shape[1], len(directions)
         flat = np.empty(d + d * k)
         for i in range(d):
@@ -72,31 +48,10 @@ def _make_evaluate(sources: int) -> Any:
 
 def _make_evaluate_motion(sources: int) -> Any:
     @kernel
-    def evaluate_motion(
-        y: FloatArray,
-        center: FloatArray,
-        unit_length: float,
-        sizes: np.ndarray,
-        numbers: FloatArray,
-        sigma: float,
-        compositions: FloatArray,
-        ends: FloatArray,
-        rest_width: float,
-    ) -> FloatArray:
+    def evaluate_motion(y: FloatArray, length: float, *motion: Any) -> FloatArray:
         sources  # noqa: B018 (enclosed to be in the key of the cache; see `digest`)
-        m, v = motion_jet(
-            y,
-            np.eye(len(y)),
-            center,
-            unit_length,
-            sizes,
-            numbers,
-            sigma,
-            compositions,
-            ends,
-            rest_width,
-        )
-        return _flattened_motion(m, v, y, sigma * unit_length)
+        m, v = motion_jet(y, np.eye(len(y)), *motion)
+        return _flattened_motion(m, v, y, length)
 
     return evaluate_motion
 
