@@ -241,13 +241,13 @@ def _fit(
     """
     period = rough.length if rough.closed else None
     spacing = rough.length / float(own.weights.sum())
-    scatter = local_scatter(own.arc, own.points, period)
+    scatter = _scatter_around(own, period, sigma)
     fitted = own
     if period is None and float(np.median(scatter)) > BUNDLE * spacing:
         rough = _with_straight_ends(rough, marks, pinned, own.arc, scatter, sigma)
         own = _ordered_along(rough, own)
         fitted = _without_overhang(own, pinned, step=2 * sigma)
-        scatter = local_scatter(fitted.arc, fitted.points, period)
+        scatter = _scatter_around(fitted, period, sigma)
     as_they_are = spacing > SPARSE or float(np.median(scatter)) < CLEAN * spacing
     if as_they_are:
         own = fitted = _without_spikes(fitted, rough.closed)
@@ -290,7 +290,8 @@ def _with_straight_ends(
     """Goes on straight where less of a line is left than the bundle is wide.
 
     There its waypoints spread more across it than along it, so its ridge may turn across.
-    Arc lengths stay as they are.
+    It keeps the direction of the stretch before, as long as nodes are wide; arc lengths stay as
+    they are.
 
     Args:
         rough: The line, which goes on straight beyond the ends of its ridge.
@@ -300,7 +301,7 @@ def _with_straight_ends(
         scatter: Their scatter across the line, (n,).
         sigma: The scale.
     """
-    length = rough.length
+    length, reach = rough.length, CONTRACTION * sigma
     first = 0.0 if 0.0 in pinned else _width_at_start(arc, scatter, marks[1], sigma)
     last = length
     if not any(s > 0 for s in pinned):
@@ -308,26 +309,41 @@ def _with_straight_ends(
     inner = rough.arc[(rough.arc > first) & (rough.arc < last)]
     line = rough.at(np.concatenate([[first], inner, [last]]))
     if first > 0:
-        line = np.concatenate([_ahead(rough, 2 * first, first), line])
+        line = np.concatenate([_ahead(rough, first + reach, first, first), line])
     if last < length:
-        line = np.concatenate([line, _ahead(rough, 2 * last - length, last)])
+        line = np.concatenate([line, _ahead(rough, last - reach, last, length - last)])
     return Piece(line, closed=False)
 
 
 def _width_at_start(
     arc: FloatArray, scatter: FloatArray, next_node: float, sigma: float
 ) -> float:
-    """The arc length at which as much of a line lies behind as its bundle is wide there."""
-    reach = CONTRACTION * sigma
-    wide = arc - reach < WIDTH * scatter + sigma
-    return float(min(arc[wide].max(initial=0.0), next_node / 3))
+    """The first arc length at which as much of a line lies behind as its bundle is wide."""
+    enough = arc - CONTRACTION * sigma >= WIDTH * scatter + sigma
+    return float(min(arc[np.argmax(enough)] if enough.any() else np.inf, next_node / 3))
 
 
-def _ahead(line: Piece, before: float, at: float) -> FloatArray:
-    """The place as far ahead of one arc length as that is of another, (1, d)."""
+def _ahead(line: Piece, before: float, at: float, distance: float) -> FloatArray:
+    """The place so far ahead of one arc length, seen from another, (1, d)."""
     places = line.at(np.array([before, at]))
     step = places[1] - places[0]
-    return np.asarray(places[1:] + abs(at - before) * step / np.linalg.norm(step))
+    return np.asarray(places[1:] + distance * step / np.linalg.norm(step))
+
+
+def _scatter_around(own: Ordered, period: float | None, sigma: float) -> FloatArray:
+    """The RMS of the scatter of the waypoints around each, as far as nodes are wide, (n,).
+
+    Where a few strands of a bundle part or pass each other, the scatter itself jumps, and a
+    line that is fitted as wide as it would follow one strand, then another.
+    """
+    arc, squares = own.arc, local_scatter(own.arc, own.points, period) ** 2
+    if period is not None:
+        arc = np.concatenate([arc - period, arc, arc + period])
+        squares = np.tile(squares, 3)
+    total = np.concatenate([[0.0], np.cumsum(squares)])
+    first = np.searchsorted(arc, own.arc - CONTRACTION * sigma)
+    last = np.searchsorted(arc, own.arc + CONTRACTION * sigma, side="right")
+    return np.asarray(np.sqrt((total[last] - total[first]) / (last - first)))
 
 
 def _ordered_along(line: Piece, own: Ordered) -> Ordered:

