@@ -160,7 +160,9 @@ def drive(field, x, h, duration, navigator=None):
     return log.sample_times() * unit, states[..., : field.dim]
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(k, marks=pytest.mark.full) for k in (1, 2))]
+)
 def test_agents_from_anywhere_make_every_turn_of_a_route(tee, seed):
     route = covering(tee.network)
     rng = np.random.default_rng(seed)

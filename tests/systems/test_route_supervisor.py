@@ -265,6 +265,7 @@ def test_a_vehicle_that_had_to_hold_goes_on_where_it_was(tee, arms):
     np.testing.assert_allclose(flight.state[:2], LEFT, atol=0.05)
 
 
+@pytest.mark.full
 def test_a_tour_leads_from_piece_to_piece(tee_and_ring):
     field = tee_and_ring
     result = fly_tour(field, field.network.path, (1, 0), speed=SPEED)
@@ -279,6 +280,7 @@ def test_a_tour_leads_from_piece_to_piece(tee_and_ring):
     assert {abs(number) for number in own} == set(range(1, len(field.network.edges) + 1))
 
 
+@pytest.mark.full
 def test_a_route_that_is_commanded_on_the_way_to_its_piece_is_flown_from_there(tee_and_ring):
     field = tee_and_ring
     branches = MakeBranches(field)

@@ -171,6 +171,7 @@ def test_the_zeros_of_a_ring(run, fields, tmp_path, capsys):
     assert summary["index_sum"] == summary["winding_number"] == 1
 
 
+@pytest.mark.full
 def test_a_line_of_zeros_is_told(run, fields, tmp_path, capsys):
     out, command = tmp_path / "out", ("singularities", fields / "dense.safetensors")
     out.mkdir()

@@ -66,6 +66,7 @@ def test_figures_are_those_of_the_log(covered, tee_field):
     assert list(covered.log.columns[-4:]) == ["mode", "edge", "arc", "cross_track_error"]
 
 
+@pytest.mark.full
 def test_an_eight_is_flown_straight_on_with_noise_and_delay(eight_field):
     (route,) = covering_routes(eight_field.network)
     result = fly_route(eight_field, route, speed=SPEED, sensors=SensorParameters(), seed=3)

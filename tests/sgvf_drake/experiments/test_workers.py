@@ -72,6 +72,7 @@ def test_what_was_under_way_when_a_process_died_is_done_again(work, tmp_path, ca
     assert message == "a process has died; what was under way (2) is done again"
 
 
+@pytest.mark.full
 def test_what_kills_its_processes_has_failed_and_the_rest_is_done(work, tmp_path, monkeypatch):
     monkeypatch.setattr("sgvf_drake.experiments.workers.MOST_DEATHS", 1)
     outcomes = dict(in_processes(work("die_always"), [-1, 3, 1], 1))

@@ -119,6 +119,7 @@ def test_no_tangent_is_too_slow(ring_field, linear):
     assert any(violation.kind == "slow" for violation in found.violations)
 
 
+@pytest.mark.full
 def test_a_field_that_flows_out_has_no_band(ring_field, linear, monkeypatch):
     # An area is as exact as the grid is fine.
     monkeypatch.setattr(verification, "take_samples", take_samples)

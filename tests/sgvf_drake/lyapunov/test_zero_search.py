@@ -287,8 +287,8 @@ FULL = pytest.mark.full
 @pytest.mark.parametrize(
     ("name", "part"),
     [
-        *(("robust", "guiding"), ("exact", "score"), ("open", "score")),
-        pytest.param("robust", "score", marks=FULL),
+        *(("robust", "guiding"), ("exact", "score")),
+        *(pytest.param(name, "score", marks=FULL) for name in ("robust", "open")),
         *(pytest.param(name, "tangent", marks=FULL) for name in ("robust", "exact", "open")),
         *(pytest.param(name, "guiding", marks=FULL) for name in ("exact", "open")),
     ],

@@ -42,7 +42,9 @@ def opened(open_field):
     return find_singularities(open_field)
 
 
-@pytest.mark.parametrize("trained", ["robust_zeros", "opened"])
+@pytest.mark.parametrize(
+    "trained", ["robust_zeros", pytest.param("opened", marks=pytest.mark.full)]
+)
 def test_indices_sum_up_to_the_winding_number(trained, request):
     found = request.getfixturevalue(trained)
     assert list(found.by_field) == ["guiding", "score", "tangent"]
@@ -66,6 +68,7 @@ def test_they_do_for_untrained_fields_too(make_field, recipe, seed):
         assert all(zero.residual < 1e-9 for zero in zeros.zeros)
 
 
+@pytest.mark.full
 def test_robots_rest_where_an_open_path_ends(open_field, opened):
     stable = [zero for zero in opened.guiding.zeros if zero.stable]
     assert [zero.kind for zero in stable] == ["sink"]

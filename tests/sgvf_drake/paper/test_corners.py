@@ -298,6 +298,7 @@ def planted_field(cloud, sink):
     )
 
 
+@pytest.mark.full
 def test_agents_on_fields_with_a_sink_near_a_corner_are_found_there(
     monkeypatch, run_kind, tmp_path
 ):

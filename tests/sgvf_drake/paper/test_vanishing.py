@@ -222,6 +222,7 @@ def test_tables_count_over_the_fields():
 # The whole of it.
 
 
+@pytest.mark.full
 def test_the_kind_runs_on_trained_fields(
     monkeypatch, run_kind, robust_field, paper_field, tmp_path
 ):

@@ -241,7 +241,7 @@ def fan(seed: int, bend: float) -> list[Array]:
 
 
 @pytest.mark.parametrize("bend", [0.0, 80.0, -150.0])
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.full)])
 def test_no_line_turns_across_the_end_of_a_fan(seed: int, bend: float) -> None:
     passes = fan(seed, bend)
     network = find_paths(PointCloud(np.concatenate(passes)), passes=True)
@@ -249,7 +249,9 @@ def test_no_line_turns_across_the_end_of_a_fan(seed: int, bend: float) -> None:
     assert network.length == pytest.approx(np.mean([length(p) for p in passes]), rel=0.1)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(k, marks=pytest.mark.full) for k in (1, 2, 3))]
+)
 def test_a_fanned_bundle_is_one_path_or_unsure(seed: int) -> None:
     points = np.concatenate(demonstrations(seed))
     network = find_paths(PointCloud(points))
@@ -420,7 +422,7 @@ def test_strands_that_nearly_touch_are_two() -> None:
     assert topology(network) == Topology(2, 2)
 
 
-@pytest.mark.parametrize("noise", [0.02, 0.05])
+@pytest.mark.parametrize("noise", [0.02, pytest.param(0.05, marks=pytest.mark.full)])
 def test_lines_come_nearer_to_the_path_with_more_points(noise: float) -> None:
     truth = ReferencePath((Piece(SHAPES["circle"].strands[0][:-1], closed=True),))
     errors = []

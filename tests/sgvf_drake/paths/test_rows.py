@@ -41,7 +41,7 @@ def is_unsure_or_right(points: Array, rows: int, distance: float) -> bool:
     return right or network.unsure is not None
 
 
-@pytest.mark.parametrize("rows", [3, 6, 14])
+@pytest.mark.parametrize("rows", [3, 6, pytest.param(14, marks=pytest.mark.full)])
 @pytest.mark.parametrize("distance", [1.0, 1.5, 2.0])
 @pytest.mark.parametrize("turns", [False, True])
 def test_near_rows_are_never_wrong_and_sure(rows: int, distance: float, turns: bool) -> None:
@@ -70,7 +70,7 @@ def test_rows_name_the_option_that_decides() -> None:
     assert topology(band) == STRAND
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.full)])
 @pytest.mark.parametrize("dim", [2, 3])
 def test_scatter_about_a_line_is_no_row(seed: int, dim: int) -> None:
     rng = np.random.default_rng(seed)
@@ -81,7 +81,7 @@ def test_scatter_about_a_line_is_no_row(seed: int, dim: int) -> None:
     assert topology(network) == STRAND
 
 
-@pytest.mark.parametrize("count", [300, 1_000, 5_000])
+@pytest.mark.parametrize("count", [300, 1_000, pytest.param(5_000, marks=pytest.mark.full)])
 def test_lanes_far_apart_for_their_scatter_are_no_line(count: int) -> None:
     """They are eight times their scatter from each other, with waypoints at random."""
     rng = np.random.default_rng(0)
