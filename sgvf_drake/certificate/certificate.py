@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from sgvf_drake.certificate.conditions import Conditions
-from sgvf_drake.certificate.orbits import Annulus
+from sgvf_drake.certificate.tube import Tube
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields.storage import write_whole
 
 FORMAT = "sgvf_drake.certificate"
-VERSION = 1
+VERSION = 2
 
 
 @dataclass(frozen=True)
@@ -46,9 +46,10 @@ class PieceResult:
             hole once.
         orbit_unique: Whether it is the only one there, and attracts all that enters; None: it
             is not known.
-        lap_time_low: Time of a lap on the closed orbit in the thin ring, at least; None: there
-            is no such ring, as where the piece is not star-shaped.
+        lap_time_low: Time of a lap on the closed orbit in the thin tube, at least; None, as the
+            following: no such tube was found.
         lap_time_high: Time of a lap, at most.
+        tube_half_width: Largest distance of the thin tube from the line along its middle.
     """
 
     holes: int | None
@@ -56,6 +57,7 @@ class PieceResult:
     orbit_unique: bool | None = None
     lap_time_low: float | None = None
     lap_time_high: float | None = None
+    tube_half_width: float | None = None
 
 
 @dataclass(frozen=True)
@@ -71,13 +73,13 @@ class Certificate:
         reason: Why it is so or not, in words.
         field_digest: Of the field.
         conditions: What was to be proved; None: samples showed nothing to prove.
-        annuli: Of each piece of the path a thin ring that m points into everywhere, so that
-            it holds a closed orbit; None: none was found.
+        tubes: Of each piece of the path a thin tube around its closed orbit; None: none was
+            found.
         sigma: The noise level of V; None, as the following, where nothing was proved.
         alpha: The rate at which V falls in the band at least, per unit of length.
         delta: |m| in the tube at least.
         tube_half_width: Largest distance of {V <= c_in} from the path, at most.
-        orbit_half_width: Largest distance of all the rings from the path, at most.
+        orbit_half_width: Largest distance of all the thin tubes from the path, at most.
         parts: What leads down to {V <= c_out} from above.
         area_fraction: Area of {V <= c_out} and these parts over that of the box, at least.
         decrease_fraction: Part of the box where V was proved to fall, in these parts or not.
@@ -97,7 +99,7 @@ class Certificate:
     reason: str
     field_digest: str
     conditions: Conditions | None = None
-    annuli: tuple[Annulus | None, ...] = ()
+    tubes: tuple[Tube | None, ...] = ()
     sigma: float | None = None
     alpha: float | None = None
     delta: float | None = None
@@ -130,11 +132,11 @@ class Certificate:
         write_whole(Path(path), self.to_json().encode(), overwrite=overwrite)
 
     def to_json(self) -> str:
-        """Returns the text of the file; its digest is that of all of the rest."""
+        """Returns the text of the file, a line for each key; its digest is that of the rest."""
         body = asdict(self)
-        return json.dumps(
-            {"format": FORMAT, "version": VERSION, "digest": _digest(body), **body}, indent=1
-        )
+        content = {"format": FORMAT, "version": VERSION, "digest": _digest(body), **body}
+        lines = (f" {json.dumps(key)}: {json.dumps(value)}" for key, value in content.items())
+        return "{\n" + ",\n".join(lines) + "\n}\n"
 
     @classmethod
     def load(cls, path: str | Path) -> "Certificate":
@@ -162,8 +164,10 @@ class Certificate:
             raise ConfigurationError(f"no JSON document ({error})") from None
         if not isinstance(body, dict) or body.pop("format", None) != FORMAT:
             raise ConfigurationError("not a certificate of sgvf_drake")
-        if body.pop("version", None) != VERSION:
-            raise ConfigurationError(f"not a certificate of version {VERSION}")
+        if (version := body.pop("version", None)) != VERSION:
+            raise ConfigurationError(
+                f"a certificate of version {version}, not of {VERSION}: certify the field anew"
+            )
         if body.pop("digest", None) != _digest(body):
             raise ConfigurationError("the certificate was changed after it was written")
         try:
@@ -181,7 +185,7 @@ class Certificate:
             **{
                 **body,
                 "conditions": None if conditions is None else Conditions(**conditions),
-                "annuli": tuple(ring and Annulus.of(ring) for ring in body["annuli"]),
+                "tubes": tuple(tube and Tube.of(tube) for tube in body["tubes"]),
                 "parts": tuple(map(Part.of, body["parts"])),
                 "levels": tuple(body["levels"]),
                 "e_star": tuple(body["e_star"]),
@@ -195,7 +199,7 @@ class Certificate:
 
         On other machines the last bits of bounds differ.
         """
-        mine, claimed = ((one.certified, one.conditions, one.annuli) for one in (self, other))
+        mine, claimed = ((one.certified, one.conditions, one.tubes) for one in (self, other))
         if mine != claimed:
             return False
         if [_kind(piece) for piece in self.pieces] != [_kind(piece) for piece in other.pieces]:
@@ -213,6 +217,7 @@ class Certificate:
         for here, there in zip(self.pieces, other.pieces, strict=True):
             pairs.append((here.lap_time_low, there.lap_time_low))
             pairs.append((there.lap_time_high, here.lap_time_high))
+            pairs.append((there.tube_half_width, here.tube_half_width))
         return all(
             (a is None) == (b is None) and (a is None or a >= b - tolerance * math.fabs(b))
             for a, b in pairs

@@ -1,6 +1,5 @@
 """From a field to its certificate: samples propose the levels, bounds over squares prove."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -14,9 +13,9 @@ from sgvf_drake.certificate.conditions import Conditions
 from sgvf_drake.certificate.field_model import model_field
 from sgvf_drake.certificate.kernels import check_rounding
 from sgvf_drake.certificate.mixture_model import lowest_of, mixture_of
-from sgvf_drake.certificate.orbit_search import propose_annuli
-from sgvf_drake.certificate.orbits import Annulus
-from sgvf_drake.certificate.path_following import failed, prove
+from sgvf_drake.certificate.path_following import ProvedTube, failed, prove
+from sgvf_drake.certificate.tube import prove_tube
+from sgvf_drake.certificate.tube_search import find_tube
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import GuidingField, check_position_alone
 from sgvf_drake.fields.storage import field_digest
@@ -106,11 +105,12 @@ def check(
         raise ConfigurationError("the certificate certifies nothing")
     check_rounding()
     reference = field.path if reference is None else reference
-    rings = certificate.annuli
 
-    def known(piece: int, _: FloatArray) -> list[Annulus]:
-        ring = rings[piece] if piece < len(rings) else None
-        return [] if ring is None else [ring]
+    def known(piece: int, _: FloatArray) -> ProvedTube | None:
+        tube = certificate.tubes[piece] if piece < len(certificate.tubes) else None
+        if tube is None or tube.rows.shape[1] != field.dim:
+            return None
+        return tube, prove_tube(field, tube)
 
     with threadpool_limits(**ONE_THREAD):
         found = prove(field, certificate.conditions, reference, known).certificate
@@ -126,8 +126,9 @@ def _prove_narrowing(
     function = LyapunovFunction(mixture_of(field, conditions.sigma))
     boxes = 0
 
-    def propose(_: int, points: FloatArray) -> Iterator[Annulus]:
-        return propose_annuli(field, points)
+    def propose(_: int, points: FloatArray) -> ProvedTube | None:
+        found = find_tube(field, points, closed=True)
+        return None if found is None else (found.tube, found.proof)
 
     for number in range(ATTEMPTS):
         attempt = prove(field, conditions, reference, propose)

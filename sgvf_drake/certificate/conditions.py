@@ -1,4 +1,4 @@
-"""The two conditions on V and m, C1 and C2, and their proof by bounds over squares."""
+"""Conditions on V and m and their proof by bounds over squares: C1, C2, and contraction."""
 
 from dataclasses import asdict, dataclass
 import math
@@ -7,7 +7,7 @@ import numpy as np
 
 from sgvf_drake.arrays import BoolArray, FloatArray
 from sgvf_drake.certificate.boxes import Answer, Boxes, Division, divide
-from sgvf_drake.certificate.field_model import model_field
+from sgvf_drake.certificate.field_model import dual_field, model_field
 from sgvf_drake.certificate.kernels import SLACK
 from sgvf_drake.certificate.mixture_model import MixtureModel
 from sgvf_drake.certificate.taylor_model import TaylorModel
@@ -22,6 +22,9 @@ of -V_dot / |m|^2."""
 
 SPEED = 0
 """The only column of the facts of C2: a bound of |m| from below."""
+
+DIVERGENCE = 0
+"""The only column of the facts of the contraction: a bound of div m from above."""
 
 # Intervals of levels on which the rate and the margin are told.
 NUM_INTERVALS = 200
@@ -194,6 +197,42 @@ class Speed:
         _, V = self.levels.level_range(Boxes.points(z))
         m = self.field(self.field.cloud.denormalize(z))
         return (self.c_in >= V) & (np.linalg.norm(m, axis=1) < self.delta)
+
+
+@dataclass(frozen=True, eq=False)
+class Contraction:
+    """The question whether div m < 0 in a ring of {V <= c_in}.
+
+    Then, by Dulac's criterion, a ring holds one closed orbit at most: two would have an
+    area between them that m makes smaller and keeps.
+
+    Attributes:
+        field: m.
+        levels: V, in the field's normalised units.
+        c_in: The level of the tube.
+    """
+
+    field: GuidingField
+    levels: MixtureModel
+    c_in: float
+
+    def prove(self, boxes: Boxes, smallest: float) -> Division:
+        """Answers it over squares that cover the ring."""
+        return divide(boxes, self._ask, self._refute, smallest)
+
+    def _ask(self, boxes: Boxes) -> Answer:
+        facts = np.full((len(boxes), 1), np.nan)
+        inside = self.levels.level_range(boxes)[0] <= self.c_in
+        with np.errstate(over="ignore", invalid="ignore"):
+            divergence = dual_field(self.field, boxes[inside].patches).divergence
+            facts[inside] = divergence.upper
+        decided = ~inside | (facts[:, DIVERGENCE] < 0)
+        return Answer(decided, facts, int(inside.sum()))
+
+    def _refute(self, z: FloatArray) -> BoolArray:
+        jacobian = self.field.value_and_jacobian(self.field.cloud.denormalize(z))[1]
+        _, V = self.levels.level_range(Boxes.points(z))
+        return (self.c_in >= V) & (np.trace(jacobian, 0, 1, 2) >= 0)
 
 
 @dataclass(frozen=True, eq=False)

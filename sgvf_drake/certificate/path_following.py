@@ -4,7 +4,7 @@ C1 and C2 are proved over squares, the tube's components and holes are counted, 
 piece of the path is told what follows for it: a closed orbit, its uniqueness, its lap time.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,6 +16,7 @@ from sgvf_drake.certificate.certificate import Certificate, PieceResult
 from sgvf_drake.certificate.conditions import (
     SPEED,
     Conditions,
+    Contraction,
     Decrease,
     Speed,
     falling_area,
@@ -24,19 +25,20 @@ from sgvf_drake.certificate.conditions import (
 from sgvf_drake.certificate.field_model import has_dual
 from sgvf_drake.certificate.kernels import SLACK
 from sgvf_drake.certificate.mixture_model import MixtureModel, mixture_of
-from sgvf_drake.certificate.orbits import Annulus, Contraction, Turning, is_trapping
 from sgvf_drake.certificate.sublevel_sets import Shape, extend, shape_of_band
+from sgvf_drake.certificate.tube import Tube, TubeProof
 from sgvf_drake.fields import GuidingField
 from sgvf_drake.fields.storage import field_digest
 from sgvf_drake.paths import ReferencePath
 
-ProposeRings = Callable[[int, FloatArray], Iterable[Annulus]]
-"""From the number of a piece and its points, (M, 2) normalised, to rings around its orbit."""
+ProvedTube = tuple[Tube, TubeProof]
 
-# Points on each side of a polygon at which its distance from the path is measured.
+ProposeTube = Callable[[int, FloatArray], ProvedTube | None]
+"""From the number of a piece and its points, (M, 2) normalised, to a tube around its orbit, and
+what is proved of it; None: none is known."""
+
+# Points between two sections at which the distance of a tube from the path is measured.
 PARTS = 8
-# How finely a ring is covered to bound the time of a lap.
-FINENESS = (1, 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +59,7 @@ def prove(
     field: GuidingField,
     conditions: Conditions,
     reference: ReferencePath,
-    propose: ProposeRings,
+    propose: ProposeTube,
 ) -> Attempt:
     """Proves conditions of a field, and what follows from them for the pieces of a path.
 
@@ -65,7 +67,7 @@ def prove(
         field: The field.
         conditions: What is to be proved.
         reference: The path.
-        propose: Gives thin rings around the closed orbit of a piece, the best first.
+        propose: Gives a thin tube around the closed orbit of a piece.
     """
     sizes = BoxSizes.of(field)
     levels = MixtureModel(mixture_of(field, conditions.sigma), conditions.lowest)
@@ -138,16 +140,16 @@ class _Orbit:
 
     Attributes:
         result: What was found, in words and numbers.
-        annulus: A ring that holds it; None: none is known.
-        boxes: Over how many squares the field was bounded.
+        tube: A thin tube around it; None: none is known.
+        boxes: Over how many squares and other patches the field was bounded.
     """
 
     result: PieceResult
-    annulus: Annulus | None = None
+    tube: Tube | None = None
     boxes: int = 0
 
 
-def conclude(field: GuidingField, proved: Proved, propose: ProposeRings) -> Certificate:
+def conclude(field: GuidingField, proved: Proved, propose: ProposeTube) -> Certificate:
     """Returns the certificate of a field from what was proved of it."""
     c, falls = proved.conditions, proved.falls
     found = rates(falls, c.c_in, c.c_out)
@@ -160,7 +162,7 @@ def conclude(field: GuidingField, proved: Proved, propose: ProposeRings) -> Cert
     if missing:
         reason = f"no orbit is proved of piece {', '.join(map(str, missing))}"
     above = extend(field, proved.levels, c)
-    annuli = tuple(orbit.annulus for orbit in orbits)
+    tubes = tuple(orbit.tube for orbit in orbits)
     boxes = falls.evaluated + proved.moves.evaluated + above.boxes
     boxes += sum(orbit.boxes for orbit in orbits)
     falling = falling_area(falls, c.c_in, c.c_out) + above.falling_area
@@ -169,12 +171,12 @@ def conclude(field: GuidingField, proved: Proved, propose: ProposeRings) -> Cert
         reason=reason,
         field_digest=field_digest(field),
         conditions=c,
-        annuli=annuli,
+        tubes=tubes,
         sigma=c.sigma * unit,
         alpha=float(found.alpha.min()) / unit,
         delta=float(np.nanmin(proved.moves.facts[:, SPEED])),
         tube_half_width=tube_half_width(field, proved.shape, proved.reference),
-        orbit_half_width=annuli_half_width(field, annuli, proved.reference),
+        orbit_half_width=orbit_half_width(field, tubes, proved.reference),
         parts=above.parts,
         area_fraction=above.basin_area / box,
         decrease_fraction=falling / box,
@@ -188,7 +190,7 @@ def conclude(field: GuidingField, proved: Proved, propose: ProposeRings) -> Cert
     )
 
 
-def _orbits(field: GuidingField, proved: Proved, propose: ProposeRings) -> list[_Orbit]:
+def _orbits(field: GuidingField, proved: Proved, propose: ProposeTube) -> list[_Orbit]:
     """Returns what is proved of the orbit of each piece.
 
     In a forward invariant ring without a zero there is a closed orbit around its hole, by the
@@ -205,12 +207,8 @@ def _orbits(field: GuidingField, proved: Proved, propose: ProposeRings) -> list[
             orbits.append(_Orbit(result))
             continue
         orbit = _uniqueness(field, proved, component, result)
-        normalised = field.cloud.normalize(piece.vertices)
-        for annulus in propose(number, normalised):
-            orbit = _lap(field, proved, component, annulus, orbit)
-            if orbit.annulus is not None:
-                break
-        orbits.append(orbit)
+        found = propose(number, field.cloud.normalize(piece.vertices))
+        orbits.append(orbit if found is None else _lap(field, proved, component, found, orbit))
     return orbits
 
 
@@ -228,40 +226,33 @@ def _uniqueness(
 
 
 def _lap(
-    field: GuidingField, proved: Proved, component: int, annulus: Annulus, orbit: _Orbit
+    field: GuidingField, proved: Proved, component: int, found: ProvedTube, orbit: _Orbit
 ) -> _Orbit:
-    """Returns an orbit with the time of its lap, where a ring in its component holds it."""
-    if not _is_within(proved, component, annulus):
+    """Returns an orbit with the time of its lap, where a tube in its component holds it."""
+    tube, proof = found
+    orbit = replace(orbit, boxes=orbit.boxes + proof.patches)
+    # Where the chain may pass its first section twice, its time may be that of several laps.
+    if not (proof.proved and proof.once and _is_within(proved, component, tube)):
         return orbit
     unit = field.cloud.unit_length
-    traps, boxes = is_trapping(field, annulus)
-    orbit = replace(orbit, boxes=orbit.boxes + boxes)
-    if not traps:
-        return orbit
-    turning = Turning.about(field, np.array(annulus.center), np.array(annulus.vertices))
-    for fineness in FINENESS:
-        turns = turning.prove(annulus.squares(fineness), BoxSizes.of(field).last)
-        orbit = replace(orbit, boxes=orbit.boxes + turns.evaluated)
-        if turns.proved:
-            low, high = turning.lap_time(turns)
-            result = replace(orbit.result, lap_time_low=low * unit, lap_time_high=high * unit)
-            return replace(orbit, result=result, annulus=annulus)
-    return orbit
-
-
-def _is_within(proved: Proved, component: int, annulus: Annulus) -> bool:
-    """Whether a ring lies in the component of {V <= c_out} that holds one of the tube.
-
-    A closed orbit in it is then in that component of the tube, since V falls above.  The ring
-    hangs together, so one of its points tells which component it is in.
-    """
-    if not annulus.is_ring:
-        return False
-    highest = proved.levels.level_range(annulus.squares())[1].max()
-    point = np.array(annulus.vertices[:1])
-    return bool(
-        highest <= proved.conditions.c_out and proved.shape.component_of(point)[0] == component
+    result = replace(
+        orbit.result,
+        lap_time_low=proof.time_low * unit,
+        lap_time_high=proof.time_high * unit,
+        tube_half_width=tube.half_width * unit,
     )
+    return replace(orbit, result=result, tube=tube)
+
+
+def _is_within(proved: Proved, component: int, tube: Tube) -> bool:
+    """Whether a tube lies in the component of {V <= c_out} that holds one of {V <= c_in}.
+
+    A closed orbit in it is then in that component of {V <= c_in}, since V falls above.  The
+    tube hangs together, so one of its points tells which component it is in.
+    """
+    highest = proved.levels.level_range(tube.boxes)[1].max()
+    at = proved.shape.component_of(tube.rows[:1, 0])[0]
+    return bool(highest <= proved.conditions.c_out and at == component)
 
 
 def tube_half_width(field: GuidingField, shape: Shape, reference: ReferencePath) -> float:
@@ -272,22 +263,23 @@ def tube_half_width(field: GuidingField, shape: Shape, reference: ReferencePath)
     return float(distance + cover.side / np.sqrt(2) * field.cloud.unit_length)
 
 
-def annuli_half_width(
-    field: GuidingField, annuli: Iterable[Annulus | None], reference: ReferencePath
+def orbit_half_width(
+    field: GuidingField, tubes: Sequence[Tube | None], reference: ReferencePath
 ) -> float | None:
-    """Returns the largest distance of rings from the path, at most, in the field's unit.
+    """Returns the largest distance of tubes from the path, at most, in the field's unit.
 
-    None where there are no rings.
+    None where there are no tubes.
     """
     distances = []
-    for annulus in annuli:
-        for border in annulus.borders if annulus is not None else ():
-            step = np.roll(border, -1, axis=0) - border
-            shares = np.arange(PARTS)[:, None, None] / PARTS
-            points = (border + shares * step).reshape(-1, 2)
-            between = np.linalg.norm(step, axis=1).max() / (2 * PARTS)
-            off = reference.project(field.cloud.denormalize(points)).distance.max()
-            distances.append(float(off + (1 + SLACK) * between * field.cloud.unit_length))
+    for tube in filter(None, tubes):
+        middles = tube.rows[:, 0]
+        step = np.diff(middles, axis=0)
+        shares = np.arange(PARTS)[:, None, None] / PARTS
+        points = field.cloud.denormalize((middles[:-1] + shares * step).reshape(-1, 2))
+        between = np.linalg.norm(step, axis=1).max() / (2 * PARTS)
+        off = reference.project(points).distance.max()
+        reach = (1 + SLACK) * (between + tube.half_width)
+        distances.append(float(off + reach * field.cloud.unit_length))
     return max(distances, default=None)
 
 

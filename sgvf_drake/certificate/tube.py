@@ -49,6 +49,7 @@ import numpy as np
 from scipy.linalg import null_space
 
 from sgvf_drake.arrays import BoolArray, FloatArray
+from sgvf_drake.certificate.boxes import Boxes
 from sgvf_drake.certificate.contraction import rate_across
 from sgvf_drake.certificate.expansions import RECIPROCAL
 from sgvf_drake.certificate.field_model import BoundedField, dual_field, has_dual, model_field
@@ -147,6 +148,19 @@ class Tube:
         return np.concatenate([rows, rows[:1]]) if self.closed else rows
 
     @property
+    def cells(self) -> Parts:
+        """The cells between each section and the next."""
+        rows = self.rows
+        return Parts(rows[:-1], rows[1:], np.arange(len(rows) - 1))
+
+    @property
+    def boxes(self) -> Boxes:
+        """Squares, or cubes, around the quarters of its cells."""
+        patches = self.cells.halves().halves().patches
+        reach = np.abs(patches.axes).sum(axis=2).max(axis=1)
+        return Boxes(patches.centers, (1 + SLACK) * reach)
+
+    @property
     def half_width(self) -> float:
         """The largest distance of a corner of a section from its middle."""
         rows = self.rows
@@ -209,15 +223,14 @@ def prove_tube(field: BoundedField, tube: Tube) -> TubeProof:
         ValueError: If the tube is not in the space of the field.
     """
     check_rounding()
-    rows = tube.rows
-    if rows.shape[1] != field.dim:
-        raise ValueError(f"a tube in {rows.shape[1]}-D is none of a field in {field.dim}-D")
-    cells = Parts(rows[:-1], rows[1:], np.arange(len(rows) - 1))
+    cells, dim = tube.cells, len(tube.sections[0])
+    if dim != field.dim:
+        raise ValueError(f"a tube in {dim}-D is none of a field in {field.dim}-D")
     # What overflows is not below any bound.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         questions = [
             divide(cells.wall(column, side), partial(_ask_wall, field, side * (-1) ** column))
-            for column, side in product(range(1, rows.shape[1]), (1, -1))
+            for column, side in product(range(1, dim), (1, -1))
         ]
         if not any(len(walls.open_cells) for walls in questions):
             questions.append(divide(cells, partial(_ask_time, field)))

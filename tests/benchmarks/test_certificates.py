@@ -57,9 +57,10 @@ def lap_time(field, center, start):
 def laps_of(field, found):
     """What is proved of each piece, beside the lap that is simulated."""
     rows = []
-    for piece, annulus in zip(found.pieces, found.annuli, strict=True):
-        assert annulus is not None
-        center, start = field.cloud.denormalize(np.array([annulus.center, annulus.vertices[0]]))
+    for piece, tube in zip(found.pieces, found.tubes, strict=True):
+        assert tube is not None
+        middles = field.cloud.denormalize(tube.rows[:, 0])
+        center, start = middles[:-1].mean(axis=0), middles[0]
         low, high = piece.lap_time_low, piece.lap_time_high
         lap = lap_time(field, center, start)
         assert low <= lap <= high

@@ -15,6 +15,7 @@ from sgvf_drake.certificate import Certificate, check
 from sgvf_drake.certificate import certificate as module
 from sgvf_drake.certificate.kernels import check_rounding
 from sgvf_drake.certificate.path_following import prove
+from sgvf_drake.certificate.tube import prove_tube
 from sgvf_drake.exceptions import ConfigurationError, OutputExistsError
 from sgvf_drake.fields import GaussianMixture
 from sgvf_drake.lyapunov import LyapunovFunction
@@ -100,8 +101,8 @@ def test_two_rings_have_an_orbit_each(make_ring):
     assert [piece.holes for piece in found.pieces] == [1, 1]
     laps = [piece.lap_time_high for piece in found.pieces]
     assert laps[0] < laps[1]
-    # The ring around one piece says nothing of the other.
-    swapped = check(replace(found, annuli=found.annuli[::-1]), field, path)
+    # The tube around one piece says nothing of the other.
+    swapped = check(replace(found, tubes=found.tubes[::-1]), field, path)
     assert not swapped.certified
     assert [piece.lap_time_high for piece in swapped.pieces] == [None, None]
 
@@ -109,7 +110,9 @@ def test_two_rings_have_an_orbit_each(make_ring):
 def test_the_unit_of_the_waypoints_does_not_matter(make_ring, ring):
     _, _, own = ring
     field, path = make_ring(4.0, scale=1000.0)
-    found = prove(field, own.conditions, path, lambda piece, _: [own.annuli[piece]]).certificate
+    (tube,) = own.tubes
+    known = tube, prove_tube(field, tube)
+    found = prove(field, own.conditions, path, lambda piece, _: known).certificate
     assert found.certified
     for name in ("sigma", "tube_half_width", "entry_time_bound", "step_bound"):
         assert getattr(found, name) == pytest.approx(1000 * getattr(own, name), rel=1e-6)
@@ -214,7 +217,7 @@ def without_alpha(text):
         (lambda text: "", "no JSON document"),
         (lambda text: "[1, 2]", "not a certificate"),
         (lambda text: '{"format": "another"}', "not a certificate"),
-        (lambda text: text.replace('"version": 1', '"version": 9'), "version 1"),
+        (lambda text: text.replace('"version": 2', '"version": 1'), "version 1, not of 2"),
         (lambda text: json.dumps({**json.loads(text), "more": 1}), "was changed"),
         (without_alpha, "alpha"),
     ],
@@ -247,19 +250,57 @@ def test_nothing_is_proved_where_results_are_rounded_to_one_side(ring, mode):
     check_rounding()
 
 
-def moved_off(annulus):
-    """A ring, but one that the orbit does not keep to."""
-    vertices = tuple((1.1 * x, 1.1 * y) for x, y in annulus.vertices)
-    return replace(annulus, vertices=vertices, widths=(1e-3,) * len(annulus.widths))
+def moved_off(tube):
+    """The same tube around another circle, which the orbit does not keep to."""
+    return replace(
+        tube,
+        sections=tuple(
+            (tuple(round(1.1 * p) for p in middle), *axes) for middle, *axes in tube.sections
+        ),
+    )
 
 
-@pytest.mark.parametrize(
-    "spoil", [moved_off, lambda annulus: replace(annulus, widths=(50.0,) * len(annulus.widths))]
-)
-def test_a_ring_that_is_none_is_refused(ring, spoil):
+def widened(tube):
+    """A tube with walls 60 times as far from each other, across which robots leave the band."""
+    return replace(
+        tube,
+        sections=tuple((middle, tuple(60 * a for a in axis)) for middle, axis in tube.sections),
+    )
+
+
+def in_space(tube):
+    rows = np.zeros((len(tube.sections), 3, 3), int)
+    rows[:, :2, :2] = tube.sections
+    return replace(tube, sections=tuple(tuple(map(tuple, row)) for row in rows.tolist()))
+
+
+def opened(tube):
+    return replace(tube, closed=False)
+
+
+@pytest.mark.parametrize("spoil", [moved_off, widened, in_space, opened])
+def test_a_tube_that_holds_no_orbit_is_refused(ring, spoil):
     """Under a right digest: what the file says is not what is proved."""
     field, path, certificate = ring
-    annuli = tuple(map(spoil, certificate.annuli))
-    found = check(replace(certificate, annuli=annuli), field, path)
+    tubes = tuple(map(spoil, certificate.tubes))
+    found = check(replace(certificate, tubes=tubes), field, path)
     assert not found.certified
     assert found.reason.startswith("what is claimed is not what is proved")
+    assert found.tubes == (None,)
+    assert found.pieces[0].lap_time_high is None
+
+
+def test_the_orbit_is_in_its_tube_and_laps_in_time(ring):
+    field, path, certificate = ring
+    (piece,), unit = certificate.pieces, field.cloud.unit_length
+    # The tangent turns at |m| = 1 on a ring of 4 m, from any start.
+    run = solve_ivp(lambda _, x: field(x), (0, 80), [4.5, 0.0], rtol=1e-10, dense_output=True)
+    late = run.sol(np.linspace(40, 80, 4000)).T
+    lap = 2 * np.pi * 40 / np.ptp(np.unwrap(np.arctan2(late[:, 1], late[:, 0])))
+    assert piece.lap_time_low <= lap <= piece.lap_time_high < 1.03 * piece.lap_time_low
+    assert piece.orbit_unique
+    (tube,) = certificate.tubes
+    assert piece.tube_half_width == pytest.approx(tube.half_width * unit)
+    boxes, z = tube.boxes, field.cloud.normalize(late)
+    assert (np.abs(z[:, None] - boxes.centers).max(axis=2) <= boxes.half).any(axis=1).all()
+    assert path.project(late).distance.max() < certificate.orbit_half_width
