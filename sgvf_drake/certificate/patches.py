@@ -6,10 +6,6 @@ import numpy as np
 
 from sgvf_drake.arrays import BoolArray, FloatArray
 
-GRID = 2.0**-40
-"""Points whose coordinates are multiples of this, and below 2^4, have exact sums, differences
-and middles in float64, also after some halvings."""
-
 
 @dataclass(frozen=True, eq=False)
 class Patches:
@@ -36,14 +32,3 @@ class Patches:
     def points(cls, points: FloatArray) -> "Patches":
         """Returns the patches without a parameter that points (n, d) are."""
         return cls(points, np.empty((*points.shape, 0)))
-
-    @classmethod
-    def segments(cls, start: FloatArray, end: FloatArray) -> "Patches":
-        """Returns the segments between points (n, d) on the `GRID`, which are exact."""
-        assert all((points == on_grid(points)).all() for points in (start, end))
-        return cls((start + end) / 2, (end - start)[:, :, None] / 2)
-
-
-def on_grid(points: FloatArray) -> FloatArray:
-    """Returns points whose coordinates are moved to the nearest multiples of `GRID`."""
-    return np.round(points / GRID) * GRID

@@ -21,7 +21,7 @@ from sgvf_drake.certificate.expansions import (
     SINE,
     SQUASH,
 )
-from sgvf_drake.certificate.patches import Patches, on_grid
+from sgvf_drake.certificate.patches import Patches
 from sgvf_drake.certificate.taylor_model import TaylorModel
 
 from .balls import FUNCTIONS, OF_A_SQUARE, corners, divided, model_at, point_of, vector
@@ -135,17 +135,6 @@ def test_the_remainder_falls_with_the_third_power_of_the_half_side():
         for x in map(TaylorModel.position, patches)
     )
     assert first / second == pytest.approx(8, rel=0.1)
-
-
-def test_segments_between_points_of_the_grid_are_exact():
-    rng = np.random.default_rng(0)
-    start, end = (on_grid(rng.uniform(-8, 8, (500, 3))) for _ in range(2))
-    patches = Patches.segments(start, end)
-    for row in range(500):
-        for u, points in ((-1.0, start), (1.0, end)):
-            assert point_of(patches, [u], row) == vector(points[row])
-    with pytest.raises(AssertionError):
-        Patches.segments(start / 3, end)
 
 
 def test_parts_cover_their_cube_exactly():
