@@ -24,7 +24,7 @@ from sgvf_drake.certificate.expansions import (
 from sgvf_drake.certificate.patches import Patches
 from sgvf_drake.certificate.taylor_model import TaylorModel
 
-from .balls import FUNCTIONS, OF_A_SQUARE, corners, divided, model_at, point_of, vector
+from .balls import FUNCTIONS, OF_A_SQUARE, corners, divided, model_at
 
 parameters = st.integers(0, 3)
 scales = st.integers(-12, 6).map(lambda exponent: 10.0**exponent)
