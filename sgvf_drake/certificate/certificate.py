@@ -46,10 +46,11 @@ class PieceResult:
             hole once.
         orbit_unique: Whether it is the only one there, and attracts all that enters; None: it
             is not known.
-        lap_time_low: Time of a lap on the closed orbit in the thin tube, at least; None, as the
-            following: no such tube was found.
-        lap_time_high: Time of a lap, at most.
+        lap_time_low: Time of a lap on the closed orbit in the thin tube, or of the way through
+            an open one, at least; None, as the following: no such tube was found.
+        lap_time_high: The same, at most.
         tube_half_width: Largest distance of the thin tube from the line along its middle.
+        rest_radius: Of the ball at the end of an open tube, in which all that comes rests.
     """
 
     holes: int | None
@@ -58,6 +59,7 @@ class PieceResult:
     lap_time_low: float | None = None
     lap_time_high: float | None = None
     tube_half_width: float | None = None
+    rest_radius: float | None = None
 
 
 @dataclass(frozen=True)
@@ -69,17 +71,18 @@ class Certificate:
 
     Attributes:
         certified: Whether every piece of the path has a proved closed orbit, in the tube that
-            every robot from {V <= c_out} enters and stays in.
+            every robot from {V <= c_out} enters and stays in; of open paths, and in space,
+            whether every piece has a thin tube.
         reason: Why it is so or not, in words.
         field_digest: Of the field.
-        conditions: What was to be proved; None: samples showed nothing to prove.
-        tubes: Of each piece of the path a thin tube around its closed orbit; None: none was
-            found.
+        conditions: What was to be proved of V; None: samples showed nothing to prove, or the
+            path is open or in space.
+        tubes: Of each piece of the path a thin tube around its orbit; None: none was found.
         sigma: The noise level of V; None, as the following, where nothing was proved.
         alpha: The rate at which V falls in the band at least, per unit of length.
         delta: |m| in the tube at least.
         tube_half_width: Largest distance of {V <= c_in} from the path, at most.
-        orbit_half_width: Largest distance of all the thin tubes from the path, at most.
+        orbit_half_width: Largest distance between the thin tubes and the path, at most.
         parts: What leads down to {V <= c_out} from above.
         area_fraction: Area of {V <= c_out} and these parts over that of the box, at least.
         decrease_fraction: Part of the box where V was proved to fall, in these parts or not.
@@ -218,6 +221,7 @@ class Certificate:
             pairs.append((here.lap_time_low, there.lap_time_low))
             pairs.append((there.lap_time_high, here.lap_time_high))
             pairs.append((there.tube_half_width, here.tube_half_width))
+            pairs.append((there.rest_radius, here.rest_radius))
         return all(
             (a is None) == (b is None) and (a is None or a >= b - tolerance * math.fabs(b))
             for a, b in pairs

@@ -8,12 +8,13 @@ from threadpoolctl import threadpool_limits
 
 from sgvf_drake.arrays import FloatArray
 from sgvf_drake.certificate.boxes import Boxes, BoxSizes
+from sgvf_drake.certificate.by_tubes import ProposeTube, ProvedTube, prove_by_tubes
 from sgvf_drake.certificate.certificate import Certificate
 from sgvf_drake.certificate.conditions import Conditions
 from sgvf_drake.certificate.field_model import model_field
 from sgvf_drake.certificate.kernels import check_rounding
 from sgvf_drake.certificate.mixture_model import lowest_of, mixture_of
-from sgvf_drake.certificate.path_following import ProvedTube, failed, prove
+from sgvf_drake.certificate.path_following import failed, prove
 from sgvf_drake.certificate.tube import prove_tube
 from sgvf_drake.certificate.tube_search import find_tube
 from sgvf_drake.exceptions import ConfigurationError
@@ -51,7 +52,9 @@ def certify(
     *,
     progress: Progress = no_progress,
 ) -> Certificate:
-    """Proves that robots follow a planar field along its path, or says what is in the way.
+    """Proves that robots follow a field along its path, or says what is in the way.
+
+    Of closed paths in the plane, from where; of open ones, and in space, what enters a tube.
 
     Args:
         field: The field.
@@ -59,20 +62,27 @@ def certify(
         progress: Told how far it is.
 
     Raises:
-        ConfigurationError: The field is not planar, or is of a kind that nothing bounds.
+        ConfigurationError: The field is of a kind that nothing bounds.
         RuntimeError: The process does not round to nearest.
     """
     check_position_alone(field)
-    if field.dim != 2:
-        raise ConfigurationError(f"only planar fields are certified, not one of {field.dim}-D")
-    if len(field.ends):
-        raise ConfigurationError("open paths, with terminal ends, are not certified yet")
     check_rounding()
     # What nothing bounds is told before the search.
-    model_field(field, Boxes.square(BoxSizes.of(field).cover).patches)
+    middle = Boxes(np.zeros((1, field.dim)), np.array([BoxSizes.of(field).cover]))
+    model_field(field, middle.patches)
     reference = field.path if reference is None else reference
     with threadpool_limits(**ONE_THREAD):
-        return _search(field, reference, progress)
+        if field.dim == 2 and not len(field.ends):
+            return _search(field, reference, progress)
+        return prove_by_tubes(field, reference, _proposed(field, reference))
+
+
+def _proposed(field: GuidingField, reference: ReferencePath) -> ProposeTube:
+    def propose(number: int, points: FloatArray) -> ProvedTube | None:
+        found = find_tube(field, points, closed=reference.pieces[number].closed)
+        return None if found is None else (found.tube, found.proof)
+
+    return propose
 
 
 def _search(field: GuidingField, reference: ReferencePath, progress: Progress) -> Certificate:
@@ -101,7 +111,7 @@ def check(
     """
     if certificate.field_digest != field_digest(field):
         raise ConfigurationError("the certificate is that of another field")
-    if certificate.conditions is None or not certificate.certified:
+    if not certificate.certified:
         raise ConfigurationError("the certificate certifies nothing")
     check_rounding()
     reference = field.path if reference is None else reference
@@ -113,7 +123,10 @@ def check(
         return tube, prove_tube(field, tube)
 
     with threadpool_limits(**ONE_THREAD):
-        found = prove(field, certificate.conditions, reference, known).certificate
+        if certificate.conditions is None:
+            found = prove_by_tubes(field, reference, known)
+        else:
+            found = prove(field, certificate.conditions, reference, known).certificate
     if not found.is_as_strong_as(certificate):
         return found.refused("what is claimed is not what is proved")
     return found
@@ -126,12 +139,8 @@ def _prove_narrowing(
     function = LyapunovFunction(mixture_of(field, conditions.sigma))
     boxes = 0
 
-    def propose(_: int, points: FloatArray) -> ProvedTube | None:
-        found = find_tube(field, points, closed=True)
-        return None if found is None else (found.tube, found.proof)
-
     for number in range(ATTEMPTS):
-        attempt = prove(field, conditions, reference, propose)
+        attempt = prove(field, conditions, reference, _proposed(field, reference))
         boxes += attempt.certificate.boxes
         progress("prove", number + 1, ATTEMPTS)
         if attempt.obstacle is None:

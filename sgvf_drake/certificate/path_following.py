@@ -4,7 +4,6 @@ C1 and C2 are proved over squares, the tube's components and holes are counted, 
 piece of the path is told what follows for it: a closed orbit, its uniqueness, its lap time.
 """
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,6 +11,12 @@ import numpy as np
 
 from sgvf_drake.arrays import FloatArray
 from sgvf_drake.certificate.boxes import HALF_WIDTH, BoxSizes, Division
+from sgvf_drake.certificate.by_tubes import (
+    ProposeTube,
+    ProvedTube,
+    orbit_half_width,
+    with_tube,
+)
 from sgvf_drake.certificate.certificate import Certificate, PieceResult
 from sgvf_drake.certificate.conditions import (
     SPEED,
@@ -23,22 +28,12 @@ from sgvf_drake.certificate.conditions import (
     rates,
 )
 from sgvf_drake.certificate.field_model import has_dual
-from sgvf_drake.certificate.kernels import SLACK
 from sgvf_drake.certificate.mixture_model import MixtureModel, mixture_of
 from sgvf_drake.certificate.sublevel_sets import Shape, extend, shape_of_band
-from sgvf_drake.certificate.tube import Tube, TubeProof
+from sgvf_drake.certificate.tube import Tube
 from sgvf_drake.fields import GuidingField
 from sgvf_drake.fields.storage import field_digest
 from sgvf_drake.paths import ReferencePath
-
-ProvedTube = tuple[Tube, TubeProof]
-
-ProposeTube = Callable[[int, FloatArray], ProvedTube | None]
-"""From the number of a piece and its points, (M, 2) normalised, to a tube around its orbit, and
-what is proved of it; None: none is known."""
-
-# Points between two sections at which the distance of a tube from the path is measured.
-PARTS = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,14 +229,7 @@ def _lap(
     # Where the chain may pass its first section twice, its time may be that of several laps.
     if not (proof.proved and proof.once and _is_within(proved, component, tube)):
         return orbit
-    unit = field.cloud.unit_length
-    result = replace(
-        orbit.result,
-        lap_time_low=proof.time_low * unit,
-        lap_time_high=proof.time_high * unit,
-        tube_half_width=tube.half_width * unit,
-    )
-    return replace(orbit, result=result, tube=tube)
+    return replace(orbit, result=with_tube(orbit.result, found, field), tube=tube)
 
 
 def _is_within(proved: Proved, component: int, tube: Tube) -> bool:
@@ -261,26 +249,6 @@ def tube_half_width(field: GuidingField, shape: Shape, reference: ReferencePath)
     centers = cover.lower + cover.side * (np.argwhere(shape.labels > 0) + 0.5)
     distance = reference.project(field.cloud.denormalize(centers)).distance.max()
     return float(distance + cover.side / np.sqrt(2) * field.cloud.unit_length)
-
-
-def orbit_half_width(
-    field: GuidingField, tubes: Sequence[Tube | None], reference: ReferencePath
-) -> float | None:
-    """Returns the largest distance of tubes from the path, at most, in the field's unit.
-
-    None where there are no tubes.
-    """
-    distances = []
-    for tube in filter(None, tubes):
-        middles = tube.rows[:, 0]
-        step = np.diff(middles, axis=0)
-        shares = np.arange(PARTS)[:, None, None] / PARTS
-        points = field.cloud.denormalize((middles[:-1] + shares * step).reshape(-1, 2))
-        between = np.linalg.norm(step, axis=1).max() / (2 * PARTS)
-        off = reference.project(points).distance.max()
-        reach = (1 + SLACK) * (between + tube.half_width)
-        distances.append(float(off + reach * field.cloud.unit_length))
-    return max(distances, default=None)
 
 
 def pieces_in(field: GuidingField, shape: Shape, reference: ReferencePath) -> list[int | None]:

@@ -164,10 +164,10 @@ class Tube:
     def half_width(self) -> float:
         """The largest distance of a corner of a section from its middle."""
         rows = self.rows
-        return float(np.linalg.norm(_corners(rows) - rows[:, :1], axis=2).max())
+        return float(np.linalg.norm(corners(rows) - rows[:, :1], axis=2).max())
 
 
-def _corners(rows: FloatArray) -> FloatArray:
+def corners(rows: FloatArray) -> FloatArray:
     """Returns the corners of sections (K, d, d), (K, 2^(d-1), d)."""
     signs = np.array(list(product((-1.0, 1.0), repeat=rows.shape[1] - 1)))
     return rows[:, :1] + signs @ rows[:, 1:]
@@ -247,7 +247,7 @@ def _ends_in_rest(field: BoundedField, tube: Tube) -> bool:
     """Whether the last section is in the ball of the tube, and what is there comes to rest."""
     if tube.rest is None:
         return True
-    off = np.linalg.norm(_corners(tube.rows[-1:])[0] - tube.rest.center, axis=1).max()
+    off = np.linalg.norm(corners(tube.rows[-1:])[0] - tube.rest.center, axis=1).max()
     return (
         bool(off <= (1 - ROUNDING) * tube.rest.radius) and prove_rest(field, tube.rest).proved
     )
@@ -283,7 +283,7 @@ def _passes_once(rows: FloatArray) -> bool:
     onward *= np.sign(onward @ (rows[1, 0] - rows[0, 0]))
     frame = np.column_stack([onward, *rows[0, 1:]])
     off = ROUNDING / np.linalg.norm(frame, ord=-2)
-    y = np.linalg.solve(frame, (_corners(rows) - rows[0, 0])[..., None])[..., 0]
+    y = np.linalg.solve(frame, (corners(rows) - rows[0, 0])[..., None])[..., 0]
     ends = np.concatenate([y[:-1], y[1:]], axis=1)
     low, high = ends.min(axis=1), ends.max(axis=1)
     apart = (low[:, 0] > off) | (high[:, 0] < -off)

@@ -165,32 +165,37 @@ def _print_certificate(summary: Mapping[str, Any]) -> None:
     if summary["c_in"] is not None:
         rows["band of V"] = f"{summary['c_in']:.3g} to {summary['c_out']:.3g}"
     if summary["sigma"] is not None:
-        pieces = summary["pieces"]
         rows |= {
             "sigma of V": f"{summary['sigma'] / U:.3g} U",
             "tube, basin": (
                 f"half-width at most {summary['tube_half_width'] / U:.3g} U, "
                 f"at least {summary['area_fraction']:.0%} of the box"
             ),
-            "closed orbits": ", ".join(_orbit(piece, U) for piece in pieces),
             "V falls, |m|": (
                 f"by {summary['alpha'] * U:.3g} in each U, at least {summary['delta']:.3g}"
             ),
             "time to the tube": f"at most that for {summary['entry_time_bound'] / U:.3g} U",
             "tolerated disturbance": f"up to {summary['e_star_max']:.3g} of the speed",
         }
+    if summary["pieces"]:
+        rows["orbits"] = ", ".join(_orbit(piece, U) for piece in summary["pieces"])
+    if summary["orbit_half_width"] is not None:
+        rows["thin tubes"] = f"at most {summary['orbit_half_width'] / U:.3g} U from the path"
     rows["squares, time"] = f"{summary['boxes']}, {summary['cpu_s']:.1f} s CPU"
     print_table("Certificate", rows)
 
 
 def _orbit(piece: Mapping[str, Any], U: float) -> str:
+    way = ""
+    if piece["lap_time_low"] is not None:
+        low, high = piece["lap_time_low"] / U, piece["lap_time_high"] / U
+        way = f" as long as {low:.3g} to {high:.3g} U take"
+    if piece["rest_radius"] is not None:
+        return f"one to rest within {piece['rest_radius'] / U:.3g} U of its end,{way}"
     if not piece["orbit_exists"]:
         return "not proved"
     known = "one" if piece["orbit_unique"] else "at least one"
-    if piece["lap_time_low"] is None:
-        return known
-    low, high = piece["lap_time_low"] / U, piece["lap_time_high"] / U
-    return f"{known}, a lap as long as {low:.3g} to {high:.3g} U take"
+    return f"{known} closed, a lap{way}" if way else f"{known} closed"
 
 
 @app.command()

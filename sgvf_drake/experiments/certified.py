@@ -55,7 +55,7 @@ class CertifiedField:
             raise ConfigurationError(f"there is no certificate in {path}")
         found = Certificate.load(file)
         if not found.levels:
-            raise ConfigurationError(f"{file} proves nothing: {found.reason}")
+            raise ConfigurationError(f"{file} proves nothing of levels of V: {found.reason}")
         for one in (field, as_flown(field, speed, scale)):
             if field_digest(one) == found.field_digest:
                 return cls(one, found, scale)

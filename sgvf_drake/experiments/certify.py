@@ -32,13 +32,13 @@ def run_certify(
     overwrite: bool = False,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
-    """Certifies a planar field; leaves the certificate, its figure and the summary.
+    """Certifies a field; leaves the certificate, its figure and the summary.
 
     A `claimed` certificate of the field is proved anew; without one, one is searched for.
 
     Raises:
-        ConfigurationError: The field is not planar, nothing bounds it, or what is claimed is
-            claimed of another field.
+        ConfigurationError: Nothing bounds the field, or what is claimed is claimed of another
+            field.
     """
     path, kind = reference or choose_reference(field)
     begin, cpu = time.perf_counter(), time.process_time()

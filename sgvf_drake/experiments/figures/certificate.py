@@ -12,6 +12,7 @@ from scipy import ndimage
 from sgvf_drake import plotting
 from sgvf_drake.arrays import Box, FloatArray, plane_grid
 from sgvf_drake.certificate import Certificate, Part
+from sgvf_drake.certificate.tube import corners
 from sgvf_drake.experiments.figures.tracking import LOWEST_V, color_of, draw_errors
 from sgvf_drake.experiments.figures.verification import BELOW, FALLS, LEVELS, TUBE
 from sgvf_drake.experiments.velocity_error import FlightMargin
@@ -39,14 +40,17 @@ def certificate_figure(
 ) -> Figure:
     """Returns a map of the certified set with the field, and e* over the levels.
 
-    With flights, they are drawn on the map, their velocity errors over V beside e*, and the
-    place where the first of them enters the tube stands between, from near.
+    Where tubes alone are proved, it shows these.  With flights, they are drawn on the map,
+    their velocity errors over V beside e*, and the place where the first of them enters the
+    tube stands between, from near.
 
     Args:
         field: In the unit of its waypoints.
         found: What is proved of it.
         flights: In the field, one a piece.
     """
+    if found.conditions is None and found.tubes:
+        return _tubes_figure(field, found)
     columns = 3 if flights and found.sigma is not None else 2
     figure, axes = plotting.new_figure(1, columns, 6.2 * columns, 6.4)
     _plot_map(axes[0], field, found, field.cloud.box, flights)
@@ -55,6 +59,31 @@ def certificate_figure(
         _plot_map(axes[1], field, found, _entry_window(found, flights), flights)
         axes[1].set_title("where the first flight enters the tube")
     _plot_margin(axes[-1], found, flights)
+    return figure
+
+
+def _tubes_figure(field: GuidingField, found: Certificate) -> Figure:
+    """Returns the tubes around the pieces of a path, in the plane or in space."""
+    figure = Figure(figsize=(7.0, 7.0), layout="constrained")
+    axes = figure.add_subplot(projection="3d" if field.dim == 3 else None)
+    points = field.cloud.points
+    axes.plot(*points.T, ".", color="black", markersize=3, label="waypoints")
+    for number, tube in enumerate(found.tubes):
+        if tube is None:
+            continue
+        label = None if number else "walls of the tubes"
+        for k, wall in enumerate(np.moveaxis(corners(tube.rows), 1, 0)):
+            axes.plot(
+                *field.cloud.denormalize(wall).T,
+                color=TUBE,
+                linewidth=0.8,
+                label=None if k else label,
+            )
+    title = "certified" if found.certified else "NOT certified"
+    plotting.plane_axes(axes, plotting.UNIT, title)
+    if field.dim == 3:
+        axes.set(zlabel=f"z [{plotting.UNIT}]")
+    axes.legend()
     return figure
 
 

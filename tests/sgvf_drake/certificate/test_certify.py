@@ -230,13 +230,6 @@ def test_a_file_that_is_not_as_it_was_written_is_refused(ring_file, tmp_path, sp
     assert str(file) in str(error.value)
 
 
-def test_fields_in_space_and_with_ends_are_told_before_the_search(make_field):
-    with pytest.raises(ConfigurationError, match="planar"):
-        certify(make_field("robust", dim=3))
-    with pytest.raises(ConfigurationError, match="terminal ends"):
-        certify(make_field("robust", ends=1))
-
-
 @pytest.mark.parametrize("mode", [0x400, 0x800, 0xC00], ids=["down", "up", "to zero"])
 def test_nothing_is_proved_where_results_are_rounded_to_one_side(ring, mode):
     """As a library of interval arithmetic may leave the process (x86: fenv.h)."""

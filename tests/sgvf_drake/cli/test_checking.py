@@ -10,7 +10,7 @@ from sgvf_drake.clouds import PointCloud
 from sgvf_drake.fields import load_field
 from tests.data.make import FOLDER, field_file
 from tests.fields import TURN, exact_field, linear_network
-from tests.helpers import circle, names_in, summary_of
+from tests.helpers import circle, ink, names_in, summary_of
 
 CERTIFICATE = FOLDER.parent / "certificates" / "ring.json"
 
@@ -125,6 +125,24 @@ def test_a_stop_on_the_path_ends_in_status_1_and_a_summary(run, fields, tmp_path
     assert abs(abs(y) - 4) < 0.3
 
 
+def test_an_open_path_is_certified_by_a_tube(run, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert run("certify", field_file("half_circle"), "--out", out) == 0
+    words = words_of(capsys.readouterr().out)
+    assert "from where robots enter is not proved" in words
+    assert "one to rest within" in words
+    summary = summary_of(out)
+    assert (summary["certified"], summary["area_fraction"]) == (True, None)
+    assert 0 < summary["orbit_half_width"] < 0.5
+    assert ink(out / "certificate.png") > 0.01
+    # There are no levels of V that a flight could be held against.
+    status = run(
+        "fly", field_file("half_circle"), *FLIGHT, "--certificate", out, "--out", tmp_path / "f"
+    )
+    assert status == 2
+    assert "proves nothing of levels of V" in words_of(capsys.readouterr().err)
+
+
 FLIGHT = ("--scale", 0.1, "--speed", 1.5, "--laps", 1)
 
 
@@ -220,7 +238,6 @@ BAD = [
     ("singularities", ("open", "--prove"), "zeros are enclosed of smooth fields of closed"),
     ("singularities", ("spatial",), "found of planar fields, not in 3 dimensions"),
     ("singularities", ("sparse", "--columns", "x,y"), COLUMNS),
-    ("certify", ("spatial",), "planar"),
     ("certify", ("stopping", *CHECK), "another field"),
     ("certify", ("ring", *CHECK, "--speed", 1.5, "--scale", 0.25), "another field"),
     ("certify", ("ring", "--check", "none.json"), "none.json"),
