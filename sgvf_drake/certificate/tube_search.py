@@ -189,7 +189,7 @@ def find_tube(field: BoundedField, points: FloatArray, *, closed: bool) -> Found
 
     Args:
         field: m.
-        points: (M, 2) along the piece in the direction of travel, normalised.
+        points: (M, d) along the piece in the direction of travel, normalised.
         closed: Whether the piece is closed.
     """
     length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())

@@ -361,7 +361,9 @@ def test_a_certificate_is_found_by_its_file_or_folder(ring_field, ring_certifica
         assert (opened.field, opened.scale) == (ring_field, SCALE)
     nothing = replace(ring_certificate, levels=(), e_star=(), reason="a sink")
     nothing.save(file, overwrite=True)
-    with pytest.raises(ConfigurationError, match=r"certificate\.json proves nothing: a sink"):
+    with pytest.raises(
+        ConfigurationError, match=r"certificate\.json proves nothing of levels of V: a sink"
+    ):
         CertifiedField.open(ring_field, tmp_path, RING_SPEED)
 
 
