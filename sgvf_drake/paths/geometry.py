@@ -290,7 +290,7 @@ def _with_straight_ends(
     """Goes on straight where less of a line is left than the bundle is wide.
 
     There its waypoints spread more across it than along it, so its ridge may turn across.
-    It keeps the direction of the stretch before, as long as nodes are wide; arc lengths stay as
+    It keeps the direction of a stretch before, as long as nodes are wide.  Arc lengths stay as
     they are.
 
     Args:

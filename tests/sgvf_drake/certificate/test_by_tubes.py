@@ -55,7 +55,7 @@ def test_robots_do_what_is_proved_of_a_piece(case):
     run = solve_ivp(lambda _, x: field(x), times[[0, -1]], start, t_eval=times, rtol=1e-9)
     if tube.closed:
         assert (piece.orbit_exists, piece.orbit_unique, piece.rest_radius) == (True, True, None)
-        # It comes back to the middle of the second section in the time that is told.
+        # Once it has settled, it passes a plane across its way again after a lap.
         late = run.y.T[2000:]
         normal = late[1] - late[0]
         side = (late - late[0]) @ normal

