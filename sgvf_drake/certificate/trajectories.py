@@ -52,15 +52,18 @@ class Orbit:
         return self.rest is None
 
 
-def closed_orbit(field: BoundedField, start: FloatArray, length: float) -> Orbit | None:
+def closed_orbit(
+    field: BoundedField, start: FloatArray, length: float, *, turn: float = 0.0
+) -> Orbit | None:
     """Returns the closed orbit on which m settles; None if it does not settle on one.
 
     Args:
         field: m.
         start: (d,) where to start, normalised.
         length: About the time of a lap.
+        turn: By how much m is turned counter-clockwise first, in the plane, rad.
     """
-    rate = _rate(field)
+    rate = _rate(field) if turn == 0.0 else _turned(_rate(field), turn)
     place = _run(rate, start, SETTLING * length).y[:, -1]
     for _ in range(LAPS):
         run = _run(rate, place, LONGEST_LAP * length, _return_to(place, rate(0.0, place)))
@@ -99,6 +102,13 @@ def _rate(field: BoundedField) -> Rate:
     evaluate = CompiledField(field) if isinstance(field, ComposedField) else field
     center, unit = field.cloud.center, field.cloud.unit_length
     return lambda _, z: evaluate(center + unit * z)
+
+
+def _turned(rate: Rate, angle: float) -> Rate:
+    """Returns the rate of the field in the plane turned by an angle, rad."""
+    c, s = np.cos(angle), np.sin(angle)
+    rotation = np.array([[c, -s], [s, c]])
+    return lambda t, z: rotation @ rate(t, z)
 
 
 def _return_to(place: FloatArray, normal: FloatArray) -> Event:

@@ -44,6 +44,17 @@ class Parts:
         start, end = np.concatenate([self.start, middle]), np.concatenate([middle, self.end])
         return Parts(start, end, np.tile(self.cell, 2))
 
+    def longer_halves(self) -> "Parts":
+        """Returns halves of cells in the plane, across where that is the longer way."""
+        middle, half = self._middle_and_half
+        wide = np.linalg.norm(middle[:, 1], axis=1) > np.linalg.norm(half[:, 0], axis=1)
+        across = self[wide]
+        sides = [
+            Parts(_narrowed(across.start, side), _narrowed(across.end, side), across.cell)
+            for side in (-0.5, 0.5)
+        ]
+        return join([self[~wide].halves(), *sides])
+
     def wall(self, column: int, side: int) -> "Parts":
         """Returns the parts where one s_j is 1 or -1: a column of A goes to the middle."""
         start, end = (
@@ -106,6 +117,11 @@ class Parts:
         return (self.start + self.end) / 2, (self.end - self.start) / 2
 
 
+def _narrowed(rows: FloatArray, share: float) -> FloatArray:
+    """Returns sections in the plane half as long, moved by a share of what they were."""
+    return np.stack([rows[:, 0] + share * rows[:, 1], rows[:, 1] / 2], axis=1)
+
+
 @dataclass(frozen=True, eq=False)
 class Answer:
     """What was found out over n parts.
@@ -138,12 +154,17 @@ class Division:
     asked: int
 
 
-def divide(parts: Parts, ask: Callable[[Parts, int], Answer]) -> Division:
-    """Halves parts along the tube until a question is decided on each, or as often as may be.
+def divide(
+    parts: Parts,
+    ask: Callable[[Parts, int], Answer],
+    halves: Callable[[Parts], Parts] = Parts.halves,
+) -> Division:
+    """Halves parts until a question is decided on each, or as often as may be.
 
     Args:
         parts: The parts.
         ask: Tells what is known of parts that were halved so often.
+        halves: Halves parts; along the tube, if nothing else is told.
     """
     done, facts, left, asked = [], [], [], 0
     for depth in range(HALVINGS + 1):
@@ -160,7 +181,7 @@ def divide(parts: Parts, ask: Callable[[Parts, int], Answer]) -> Division:
         if not len(parts):
             break
         if depth < HALVINGS:
-            parts = parts.halves()
+            parts = halves(parts)
     left.append(parts.cell)
     return Division(join(done), np.concatenate(facts), np.concatenate(left), asked)
 

@@ -20,6 +20,8 @@ from sgvf_drake.arrays import FloatArray
 from sgvf_drake.certificate.field_model import BoundedField
 from sgvf_drake.certificate.trajectories import Orbit, closed_orbit, open_orbit
 from sgvf_drake.certificate.tube import Tube, TubeProof, prove_tube
+from sgvf_drake.certificate.wall_search import Ladder
+from sgvf_drake.certificate.walls import Walls, WallsProof, prove_walls
 
 # The time and the turn, in rad, between points at which the field is looked at along an orbit,
 # and the time at first.
@@ -42,6 +44,7 @@ class Course:
     """An orbit, looked at in small steps.
 
     Attributes:
+        field: m.
         orbit: The orbit.
         times: (n + 1,) from 0 to the end.
         points: (n + 1, d) there.
@@ -50,6 +53,7 @@ class Course:
         growth: (n + 1, d - 1, d - 1) G, absolute off its diagonal.
     """
 
+    field: BoundedField
     orbit: Orbit
     times: FloatArray
     points: FloatArray
@@ -68,7 +72,7 @@ class Course:
         growth = frame.swapaxes(1, 2) @ (J * field.cloud.unit_length) @ frame - rate
         off = ~np.eye(len(rate), dtype=bool)
         growth[:, off] = np.abs(growth[:, off])
-        return cls(orbit, times, z, m, frame, growth)
+        return cls(field, orbit, times, z, m, frame, growth)
 
     @property
     def holds_together(self) -> bool:
@@ -96,6 +100,13 @@ class Course:
         """Returns A for an inflow, (n + 1, d, d - 1)."""
         return inflow * self.frame * self._widths[:, None]
 
+    @cached_property
+    def ladder(self) -> Ladder | None:
+        """Curves for walls; None: the orbit is not a closed one in the plane."""
+        if not self.orbit.closed or self.points.shape[1] != 2:
+            return None
+        return Ladder.around(self.field, self.orbit, self.times)
+
     def sections(self, inflow: float) -> FloatArray:
         """Returns times of sections, from 0 to the end.
 
@@ -111,6 +122,8 @@ class Course:
         turn = np.linalg.norm(np.diff(sides, axis=0, append=sides[-1:]), axis=2)
         speed = np.linalg.norm(self.m[1:], axis=1)
         share = turn.max(axis=1) * speed / (SHARE * inflow) + length.max(axis=1) / LONGEST
+        if self.ladder is not None:
+            share = np.maximum(share, self.ladder.shares)
         return _spread(self.times, share)
 
     def tube(self, times: FloatArray, inflow: float) -> Tube:
@@ -171,17 +184,19 @@ def _complement(tangent: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class FoundTube:
-    """A tube that was proved.
+    """A tube that was proved, and walls around it.
 
     Attributes:
         tube: The tube.
         proof: What is proved of it.
-        orbit: The orbit that it was laid around.
+        walls: Walls around it; None: none are proved.
+        walls_proof: What is proved of these.
     """
 
     tube: Tube
     proof: TubeProof
-    orbit: Orbit
+    walls: Walls | None = None
+    walls_proof: WallsProof | None = None
 
 
 def find_tube(field: BoundedField, points: FloatArray, *, closed: bool) -> FoundTube | None:
@@ -205,17 +220,37 @@ def find_tube(field: BoundedField, points: FloatArray, *, closed: bool) -> Found
         found = found if tighter is None else tighter
         if found is not None and found.proof.spread <= SPREAD:
             break
-    return found
+    return found and _with_walls(course, found)
 
 
-def _refined(field: BoundedField, course: Course, inflow: float) -> FoundTube | None:
+def _with_walls(course: Course, found: "_Refined") -> FoundTube:
+    """Returns a tube with the walls around it that are proved."""
+    if course.ladder is None or not len(course.ladder.rungs):
+        return FoundTube(found.tube, found.proof)
+    walls = course.ladder.walls(found.times[:-1])
+    proof = prove_walls(course.field, found.tube, walls)
+    if not proof.proved:
+        return FoundTube(found.tube, found.proof, walls_proof=proof)
+    return FoundTube(found.tube, found.proof, walls[: proof.proved], proof)
+
+
+@dataclass(frozen=True, eq=False)
+class _Refined:
+    """A tube that was proved, with sections at some times, from 0 to the end."""
+
+    tube: Tube
+    proof: TubeProof
+    times: FloatArray
+
+
+def _refined(field: BoundedField, course: Course, inflow: float) -> _Refined | None:
     """Returns a proved tube of an inflow, with more sections where that helps; or None."""
     times, weak = course.sections(inflow), np.inf
     while True:
         tube = course.tube(times, inflow)
         proof = prove_tube(field, tube)
         if proof.proved:
-            return FoundTube(tube, proof, course.orbit)
+            return _Refined(tube, proof, times)
         if not 0 < proof.weak.sum() < weak:
             return None
         weak = proof.weak.sum()
