@@ -134,6 +134,18 @@ def model_field(field: BoundedField, patches: Patches) -> TaylorModel:
     return TAYLOR.field(field, patches)
 
 
+def direction_model(field: BoundedField, patches: Patches) -> TaylorModel:
+    """Returns the models of m times a positive function, whose bounds are tighter.
+
+    Raises:
+        ConfigurationError: The field is of a kind that nothing here bounds.
+    """
+    base = field.field if isinstance(field, HeldField) else field
+    if base.rest is not None:
+        return model_field(field, patches)
+    return simplify(base.composition, *TAYLOR.score_and_tangent(field, patches))
+
+
 def dual_field(field: BoundedField, patches: Patches) -> DualModel:
     """Returns the models of m and of its derivatives, by normalised units of length.
 

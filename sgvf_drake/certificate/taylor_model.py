@@ -220,6 +220,22 @@ class TaylorModel:
             )
         )
 
+    def at_end(self, parameter: int, side: int) -> "TaylorModel":
+        """Returns the models over the faces of patches where a parameter is 1 or -1."""
+        k = self.num_parameters
+        pairs = [(a, b) for a in range(k) for b in range(a, k)]
+        parts, kept = self.parts.copy(), [0]
+        for row, pair in enumerate(pairs, start=1 + k):
+            match pair.count(parameter):
+                case 2:
+                    parts[:, 0] += parts[:, row]
+                case 1:
+                    parts[:, 1 + sum(pair) - parameter] += side * parts[:, row]
+        parts[:, 0] += side * parts[:, 1 + parameter]
+        kept += [1 + a for a in range(k) if a != parameter]
+        kept += [row for row, pair in enumerate(pairs, start=1 + k) if parameter not in pair]
+        return _rounded(parts[:, kept], self.remainder, self.magnitude)
+
     def joined(self, *others: "TaylorModel") -> "TaylorModel":
         """Returns these functions and those of others over the same patches, in order."""
         models = (self, *others)

@@ -1,0 +1,272 @@
+"""From where robots come between the walls: a graph of squares over the box.
+
+An orbit goes from a square to a neighbour through their common side.  It cannot where m has the
+strict opposite sign across all of the closed side, shorter squares beside longer ones included;
+through a corner it passes two sides at once.  So orbits are walks on the graph of what is left.
+
+A walk stays at last among squares of which each leads to each, or in one of them.  An orbit
+cannot stay where m . u > 0 for one direction u on all of these (`_moves`).  So from squares from
+which no walk leads to a set that has no such u, or out of the box, every orbit comes to the goal
+in bounded time: to a square all of which is between the walls.
+
+What is **excluded** are the other sets: around zeros, and what leads there.  Where div m > 0 all
+over one, the points that stay in it for ever are of measure zero, because m carries them into
+themselves and their area would grow.  So almost every robot leaves it.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import breadth_first_order, connected_components
+
+from sgvf_drake.arrays import BoolArray, FloatArray, IntArray
+from sgvf_drake.certificate.boxes import Boxes
+from sgvf_drake.certificate.cells import SIDES, Cells
+from sgvf_drake.certificate.field_model import direction_model, dual_field, has_dual
+from sgvf_drake.certificate.kernels import SLACK
+from sgvf_drake.fields import GuidingField
+
+# Directions u that are tried.
+ANGLES = np.linspace(0, 2 * np.pi, 32, endpoint=False)
+DIRECTIONS = np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1)
+# Squares that are asked about at once.
+CHUNK = 1000
+# Excluded sets are divided until they are no larger than this part of the box.
+ENOUGH = 0.001
+
+Goal = Callable[[Boxes], BoolArray]
+
+
+@dataclass(frozen=True, eq=False)
+class Facts:
+    """What is known of m on n squares, but for a positive factor.
+
+    Attributes:
+        least: (n, 4) of the part of m across each of `SIDES`, along its axis, at least.
+        most: (n, 4) the same, at most.
+        along: (n, 32) of m . u, at least, for each of the directions.
+    """
+
+    least: FloatArray
+    most: FloatArray
+    along: FloatArray
+
+    @classmethod
+    def of(cls, field: GuidingField, boxes: Boxes) -> "Facts":
+        """Returns the facts of a field on squares."""
+        chunks = (boxes[first : first + CHUNK] for first in range(0, len(boxes), CHUNK))
+        return cls.joined([cls._of_some(field, chunk) for chunk in chunks])
+
+    @classmethod
+    def joined(cls, parts: "list[Facts]") -> "Facts":
+        """Returns the facts of some squares after those of others."""
+        names = ("least", "most", "along")
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+    def __getitem__(self, rows: BoolArray) -> "Facts":
+        return Facts(self.least[rows], self.most[rows], self.along[rows])
+
+    @classmethod
+    def _of_some(cls, field: GuidingField, boxes: Boxes) -> "Facts":
+        # What overflows is not above any bound, nor below one.
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            m = direction_model(field, boxes.patches)
+            sides = [
+                m.functions(slice(axis, axis + 1)).at_end(axis, sign) for axis, sign in SIDES
+            ]
+            along = [m.weighted(np.broadcast_to(u, m.value.shape)).lower for u in DIRECTIONS]
+            return cls(
+                np.concatenate([side.lower for side in sides], axis=1),
+                np.concatenate([side.upper for side in sides], axis=1),
+                np.concatenate(along, axis=1),
+            )
+
+
+@dataclass(frozen=True)
+class ExcludedSet:
+    """Squares that lead to each other, in which robots may stay.
+
+    Attributes:
+        center: (2,) the middle of its squares, in the unit of the waypoints.
+        area: Its part of the box.
+        left_by_almost_all: Whether it is proved that almost every robot leaves it.
+    """
+
+    center: tuple[float, float]
+    area: float
+    left_by_almost_all: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Basin:
+    """What is proved of the box.
+
+    Attributes:
+        cells: Squares that cover it.
+        comes: (n,) whether every robot from a square comes between the walls.
+        area: The part of the box that these make up.
+        almost: The part from which almost every robot comes there.
+        excluded: The sets in which robots may stay.
+        evaluated: Over how many squares the field was bounded.
+    """
+
+    cells: Cells
+    comes: BoolArray
+    area: float
+    almost: float
+    excluded: tuple[ExcludedSet, ...]
+    evaluated: int
+
+
+@dataclass(frozen=True, eq=False)
+class _Graph:
+    """How squares lead to each other.
+
+    Attributes:
+        after: (n, n) which square leads to which; the goal to none.
+        goal: (n,) which are between the walls.
+        out: (n,) which lead out of the box.
+        labels: (n,) the set of squares that lead to each other.
+        stays: (n,) whether orbits may stay in the set.
+    """
+
+    after: csr_array
+    goal: BoolArray
+    out: BoolArray
+    labels: IntArray
+    stays: BoolArray
+
+    def leads_to(self, targets: BoolArray) -> BoolArray:
+        """Tells from which squares (n,) a walk leads to one of some."""
+        n = len(targets)
+        # One more square, before which all of these are.
+        source, target = self.after.nonzero()
+        last = np.flatnonzero(targets)
+        back = csr_array(
+            (
+                np.ones(len(source) + len(last), np.int8),
+                (
+                    np.concatenate([target, np.full(len(last), n)]),
+                    np.concatenate([source, last]),
+                ),
+            ),
+            shape=(n + 1, n + 1),
+        )
+        reached = np.zeros(n + 1, bool)
+        reached[breadth_first_order(back, n, return_predecessors=False)] = True
+        return reached[:n]
+
+
+def find_basin(field: GuidingField, goal: Goal) -> Basin:
+    """Proves from where robots come between walls, and divides squares where that helps.
+
+    Args:
+        field: The field, in the plane.
+        goal: Tells which squares are all between walls.
+    """
+    cells = Cells.first()
+    facts = Facts.of(field, cells.boxes)
+    evaluated = len(cells)
+    while True:
+        graph = _graph(cells, facts, goal(cells.boxes))
+        divisible = graph.stays & (cells.size > 1)
+        if not divisible.any() or _part_of_box(field, cells, graph.stays) <= ENOUGH:
+            break
+        parts = cells[divisible].quarters()
+        facts = Facts.joined([facts[~divisible], Facts.of(field, parts.boxes)])
+        evaluated += len(parts)
+        rest = cells[~divisible]
+        cells = Cells(
+            np.concatenate([rest.corner, parts.corner]), np.concatenate([rest.size, parts.size])
+        )
+    return replace(_basin(field, cells, graph), evaluated=evaluated)
+
+
+def prove_basin(field: GuidingField, cells: Cells, goal: Goal) -> Basin:
+    """Proves from which squares robots come between walls.
+
+    Args:
+        field: The field, in the plane.
+        cells: Squares that cover the box.
+        goal: As in `find_basin`.
+    """
+    boxes = cells.boxes
+    return _basin(field, cells, _graph(cells, Facts.of(field, boxes), goal(boxes)))
+
+
+def _graph(cells: Cells, facts: Facts, goal: BoolArray) -> _Graph:
+    n = len(cells)
+    source, target, may = [], [], []
+    out = np.zeros(n, bool)
+    for k, (axis, sign) in enumerate(SIDES):
+        beyond = cells.neighbours(axis, sign)
+        forwards = ~(sign * np.where(sign > 0, facts.most[:, k], facts.least[:, k]) < 0)
+        backwards = ~(sign * np.where(sign > 0, facts.least[:, k], facts.most[:, k]) > 0)
+        out |= (beyond == -1) & forwards & ~goal
+        own = np.flatnonzero(beyond >= 0)
+        source += [own, beyond[own]]
+        target += [beyond[own], own]
+        may += [forwards[own], backwards[own]]
+    ways = np.concatenate(source) * n + np.concatenate(target)
+    # Squares of one size are each other's neighbours: both have to let pass.
+    order = np.argsort(ways, kind="stable")
+    ways, first = np.unique(ways[order], return_index=True)
+    ways = ways[np.logical_and.reduceat(np.concatenate(may)[order], first)]
+    ways = ways[~goal[ways // n]]
+    after = csr_array((np.ones(len(ways), np.int8), (ways // n, ways % n)), shape=(n, n))
+    labels = connected_components(after, directed=True, connection="strong")[1]
+    return _Graph(after, goal, out, labels, ~_moves(labels, facts)[labels] & ~goal)
+
+
+def _moves(labels: IntArray, facts: Facts) -> BoolArray:
+    """Tells of which sets there is a u with m . u > 0 on all of their squares."""
+    order = np.argsort(labels, kind="stable")
+    first = np.searchsorted(labels[order], np.arange(labels.max() + 1))
+    least = np.minimum.reduceat(facts.along[order], first, axis=0)
+    # NaN is not above zero.
+    return np.asarray((least > 0).any(axis=1))
+
+
+def _basin(field: GuidingField, cells: Cells, graph: _Graph) -> Basin:
+    """Returns what a graph says of the box."""
+    numbers, of_set = np.unique(graph.labels[graph.stays], return_inverse=True)
+    grows = np.zeros(len(cells), bool)
+    grows[graph.stays] = _grows(field, cells[graph.stays].boxes)
+    left = np.bincount(of_set, ~grows[graph.stays]) == 0
+    never = graph.stays.copy()
+    never[graph.stays] = ~left[of_set]
+    comes = graph.goal | ~graph.leads_to(graph.stays | graph.out)
+    almost = graph.goal | ~graph.leads_to(never | graph.out)
+    x, y = field.cloud.denormalize(cells.boxes.centers).T
+    excluded = []
+    for number, is_left in zip(numbers, left, strict=True):
+        one = graph.labels == number
+        center = (float(x[one].mean()), float(y[one].mean()))
+        excluded.append(ExcludedSet(center, _part_of_box(field, cells, one), bool(is_left)))
+    return Basin(
+        cells,
+        comes,
+        _part_of_box(field, cells, comes),
+        _part_of_box(field, cells, almost),
+        tuple(sorted(excluded, key=lambda one: -one.area)),
+        len(cells),
+    )
+
+
+def _grows(field: GuidingField, boxes: Boxes) -> BoolArray:
+    """Tells on which squares (n,) div m > 0."""
+    if not has_dual(field):
+        return np.zeros(len(boxes), bool)
+    chunks = (boxes[first : first + CHUNK] for first in range(0, len(boxes), CHUNK))
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        lower = [dual_field(field, chunk.patches).divergence.lower[:, 0] for chunk in chunks]
+    return np.concatenate(lower) > 0 if lower else np.zeros(0, bool)
+
+
+def _part_of_box(field: GuidingField, cells: Cells, rows: BoolArray) -> float:
+    """Returns the part of the field's box that some squares make up."""
+    lower, upper = (field.cloud.normalize(corner) for corner in field.cloud.box)
+    area = cells.areas_in(lower, upper)[rows].sum() / np.prod(upper - lower)
+    return float((1 - SLACK * len(cells)) * area)
