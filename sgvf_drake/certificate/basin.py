@@ -11,11 +11,13 @@ in bounded time: to a square all of which is between the walls.
 
 What is **excluded** are the other sets: around zeros, and what leads there.  Where div m > 0 all
 over one, the points that stay in it for ever are of measure zero, because m carries them into
-themselves and their area would grow.  So almost every robot leaves it.
+themselves and their area would grow.  So almost every robot leaves it.  Where robots go does not
+change if m is multiplied by a positive function, so that of `direction_model` will do.
 """
 
-from collections.abc import Callable
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -23,10 +25,12 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components
 
 from sgvf_drake.arrays import BoolArray, FloatArray, IntArray
 from sgvf_drake.certificate.boxes import Boxes
-from sgvf_drake.certificate.cells import SIDES, Cells
-from sgvf_drake.certificate.field_model import direction_model, dual_field, has_dual
+from sgvf_drake.certificate.cells import DEPTH, SIDES, UNIT, Cells
+from sgvf_drake.certificate.field_model import direction_dual, direction_model, has_dual
 from sgvf_drake.certificate.kernels import SLACK
+from sgvf_drake.certificate.walls import Walls
 from sgvf_drake.fields import GuidingField
+from sgvf_drake.progress import Progress, no_progress
 
 # Directions u that are tried.
 ANGLES = np.linspace(0, 2 * np.pi, 32, endpoint=False)
@@ -34,9 +38,10 @@ DIRECTIONS = np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1)
 # Squares that are asked about at once.
 CHUNK = 1000
 # Excluded sets are divided until they are no larger than this part of the box.
-ENOUGH = 0.001
+ENOUGH = 0.005
 
-Goal = Callable[[Boxes], BoolArray]
+# Squares on walls are divided to this part of the distance between them.
+FIT = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +73,14 @@ class Facts:
     def __getitem__(self, rows: BoolArray) -> "Facts":
         return Facts(self.least[rows], self.most[rows], self.along[rows])
 
+    def spread(self, rows: BoolArray) -> "Facts":
+        """Returns the facts as those of some rows of more squares; of the others NaN."""
+        names = ("least", "most", "along")
+        wider = [np.full((len(rows), getattr(self, name).shape[1]), np.nan) for name in names]
+        for one, name in zip(wider, names, strict=True):
+            one[rows] = getattr(self, name)
+        return Facts(*wider)
+
     @classmethod
     def _of_some(cls, field: GuidingField, boxes: Boxes) -> "Facts":
         # What overflows is not above any bound, nor below one.
@@ -97,6 +110,12 @@ class ExcludedSet:
     center: tuple[float, float]
     area: float
     left_by_almost_all: bool
+
+    @classmethod
+    def of(cls, body: Mapping[str, Any]) -> "ExcludedSet":
+        """Returns the set of a JSON object."""
+        x, y = body["center"]
+        return cls((float(x), float(y)), float(body["area"]), bool(body["left_by_almost_all"]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,44 +178,99 @@ class _Graph:
         return reached[:n]
 
 
-def find_basin(field: GuidingField, goal: Goal) -> Basin:
+def find_basin(
+    field: GuidingField, walls: Sequence[Walls], progress: Progress = no_progress
+) -> Basin:
     """Proves from where robots come between walls, and divides squares where that helps.
 
     Args:
         field: The field, in the plane.
-        goal: Tells which squares are all between walls.
+        walls: Walls that are proved.
+        progress: Told how far it is.
     """
-    cells = Cells.first()
-    facts = Facts.of(field, cells.boxes)
-    evaluated = len(cells)
-    while True:
-        graph = _graph(cells, facts, goal(cells.boxes))
-        divisible = graph.stays & (cells.size > 1)
-        if not divisible.any() or _part_of_box(field, cells, graph.stays) <= ENOUGH:
+    known = _Known.of(field, _around(walls), walls)
+    evaluated = known.evaluated
+    for round_number in range(DEPTH + 1):
+        progress("cells", round_number, DEPTH)
+        graph = _graph(known)
+        divisible = graph.stays & (known.cells.size > 1)
+        if not divisible.any() or _part_of_box(field, known.cells, graph.stays) <= ENOUGH:
             break
-        parts = cells[divisible].quarters()
-        facts = Facts.joined([facts[~divisible], Facts.of(field, parts.boxes)])
-        evaluated += len(parts)
-        rest = cells[~divisible]
-        cells = Cells(
-            np.concatenate([rest.corner, parts.corner]), np.concatenate([rest.size, parts.size])
-        )
-    return replace(_basin(field, cells, graph), evaluated=evaluated)
+        parts = _Known.of(field, known.cells[divisible].quarters(), walls)
+        evaluated += parts.evaluated
+        known = known.without(divisible).joined(parts)
+    progress("cells", DEPTH, DEPTH)
+    return replace(_basin(field, known.cells, graph), evaluated=evaluated)
 
 
-def prove_basin(field: GuidingField, cells: Cells, goal: Goal) -> Basin:
+def prove_basin(field: GuidingField, cells: Cells, walls: Sequence[Walls]) -> Basin:
     """Proves from which squares robots come between walls.
 
     Args:
         field: The field, in the plane.
         cells: Squares that cover the box.
-        goal: As in `find_basin`.
+        walls: Walls that are proved.
     """
-    boxes = cells.boxes
-    return _basin(field, cells, _graph(cells, Facts.of(field, boxes), goal(boxes)))
+    return _basin(field, cells, _graph(_Known.of(field, cells, walls)))
 
 
-def _graph(cells: Cells, facts: Facts, goal: BoolArray) -> _Graph:
+def _around(walls: Sequence[Walls]) -> Cells:
+    """Returns squares that are small on walls, where the way in has to be seen."""
+    cells = Cells.first()
+    for one in walls:
+        while True:
+            held, apart = one.hold(cells.boxes)
+            coarse = (
+                ~held & ~apart & (UNIT * cells.size > FIT * one.narrowest) & (cells.size > 1)
+            )
+            if not coarse.any():
+                break
+            cells = cells[~coarse].joined(cells[coarse].quarters())
+    return cells
+
+
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """Squares and what is known of them.
+
+    Attributes:
+        cells: The squares.
+        goal: (n,) which are between walls.
+        facts: Of the others; NaN of these.
+    """
+
+    cells: Cells
+    goal: BoolArray
+    facts: Facts
+
+    @classmethod
+    def of(cls, field: GuidingField, cells: Cells, walls: Sequence[Walls]) -> "_Known":
+        """Finds out about squares."""
+        boxes, goal = cells.boxes, np.zeros(len(cells), bool)
+        for one in walls:
+            goal |= one.hold(boxes)[0]
+        return cls(cells, goal, Facts.of(field, boxes[~goal]).spread(~goal))
+
+    @property
+    def evaluated(self) -> int:
+        """Over how many squares the field was bounded."""
+        return int((~self.goal).sum())
+
+    def without(self, rows: BoolArray) -> "_Known":
+        """Returns what is known of the other squares."""
+        return _Known(self.cells[~rows], self.goal[~rows], self.facts[~rows])
+
+    def joined(self, other: "_Known") -> "_Known":
+        """Returns what is known of these squares and others."""
+        return _Known(
+            self.cells.joined(other.cells),
+            np.concatenate([self.goal, other.goal]),
+            Facts.joined([self.facts, other.facts]),
+        )
+
+
+def _graph(known: _Known) -> _Graph:
+    cells, facts, goal = known.cells, known.facts, known.goal
     n = len(cells)
     source, target, may = [], [], []
     out = np.zeros(n, bool)
@@ -256,12 +330,14 @@ def _basin(field: GuidingField, cells: Cells, graph: _Graph) -> Basin:
 
 
 def _grows(field: GuidingField, boxes: Boxes) -> BoolArray:
-    """Tells on which squares (n,) div m > 0."""
+    """Tells on which squares (n,) div m > 0, of m times a positive function."""
     if not has_dual(field):
         return np.zeros(len(boxes), bool)
     chunks = (boxes[first : first + CHUNK] for first in range(0, len(boxes), CHUNK))
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        lower = [dual_field(field, chunk.patches).divergence.lower[:, 0] for chunk in chunks]
+        lower = [
+            direction_dual(field, chunk.patches).divergence.lower[:, 0] for chunk in chunks
+        ]
     return np.concatenate(lower) > 0 if lower else np.zeros(0, bool)
 
 

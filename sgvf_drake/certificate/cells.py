@@ -64,9 +64,14 @@ class Cells:
             nodes = nodes[divided].quarters()
         if len(bits) - used >= 8 or bits[used:].any():
             raise ValueError("not the code of a quadtree")
-        return cls(
-            np.concatenate([part.corner for part in done]),
-            np.concatenate([part.size for part in done]),
+        first, *others = done
+        return first.joined(*others)
+
+    def joined(self, *others: "Cells") -> "Cells":
+        """Returns these and others."""
+        return Cells(
+            np.concatenate([self.corner, *(other.corner for other in others)]),
+            np.concatenate([self.size, *(other.size for other in others)]),
         )
 
     @property
@@ -98,7 +103,9 @@ class Cells:
         """Returns the area (n,) of each that is in a box."""
         low = UNIT * self.corner - HALF
         high = low + UNIT * self.size[:, None]
-        return np.prod(np.clip(np.minimum(high, upper) - np.maximum(low, lower), 0, None), axis=1)
+        return np.prod(
+            np.clip(np.minimum(high, upper) - np.maximum(low, lower), 0, None), axis=1
+        )
 
     def neighbours(self, axis: int, sign: int) -> IntArray:
         """Returns the square (n,) beyond a side of each that is as large or larger.

@@ -1,6 +1,6 @@
 """The certificate: what was proved of a field, and the file that says it."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 import hashlib
 import json
@@ -8,42 +8,25 @@ import math
 from pathlib import Path
 from typing import Any
 
-from sgvf_drake.certificate.conditions import Conditions
+from sgvf_drake.certificate.basin import ExcludedSet
+from sgvf_drake.certificate.levels import Levels
 from sgvf_drake.certificate.tube import Tube
+from sgvf_drake.certificate.walls import Walls
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields.storage import write_whole
 
 FORMAT = "sgvf_drake.certificate"
-VERSION = 2
-
-
-@dataclass(frozen=True)
-class Part:
-    """A component of {c_out <= V <= level} on which V falls, so that it leads down to c_out.
-
-    Attributes:
-        level: The upper level.
-        point: (2,) a point of it, in the unit of the waypoints.
-    """
-
-    level: float
-    point: tuple[float, float]
-
-    @classmethod
-    def of(cls, body: Mapping[str, Any]) -> "Part":
-        """Returns the part of a JSON object."""
-        x, y = body["point"]
-        return cls(float(body["level"]), (float(x), float(y)))
+VERSION = 3
 
 
 @dataclass(frozen=True)
 class PieceResult:
     """What is proved of one piece of the path.
 
+    Times are those at |m| = 1: at speed v, they are divided by v.
+
     Attributes:
-        holes: Of the component of the tube that it lies in; None: it lies in none alone.
-        orbit_exists: Whether m has a closed orbit in that component, and it goes around its
-            hole once.
+        orbit_exists: Whether m has a closed orbit in its thin tube, that goes around once.
         orbit_unique: Whether it is the only one there, and attracts all that enters; None: it
             is not known.
         lap_time_low: Time of a lap on the closed orbit in the thin tube, or of the way through
@@ -51,79 +34,84 @@ class PieceResult:
         lap_time_high: The same, at most.
         tube_half_width: Largest distance of the thin tube from the line along its middle.
         rest_radius: Of the ball at the end of an open tube, in which all that comes rests.
+        wall_half_widths: Largest distance of each pair of walls from that line, from the tube
+            outwards.
+        e_star: The disturbance that m tolerates on each of these, at least: what is between
+            them stays there under x_dot = m + d with |d| below it.
+        entry_times: Time from between these to the thin tube, at most.
     """
 
-    holes: int | None
     orbit_exists: bool
     orbit_unique: bool | None = None
     lap_time_low: float | None = None
     lap_time_high: float | None = None
     tube_half_width: float | None = None
     rest_radius: float | None = None
+    wall_half_widths: tuple[float, ...] = ()
+    e_star: tuple[float, ...] = ()
+    entry_times: tuple[float, ...] = ()
+
+    @classmethod
+    def of(cls, body: Mapping[str, Any]) -> "PieceResult":
+        """Returns the result of a JSON object."""
+        tuples = ("wall_half_widths", "e_star", "entry_times")
+        return cls(**{**body, **{name: tuple(body[name]) for name in tuples}})
 
 
 @dataclass(frozen=True)
 class Certificate:
     """A proof of path following, or what is in its way.
 
-    Lengths are in the unit of the waypoints, and times those at |m| = 1: at speed v, all
-    times are divided by v.
+    Lengths are in the unit of the waypoints.
 
     Attributes:
-        certified: Whether every piece of the path has a proved closed orbit, in the tube that
-            every robot from {V <= c_out} enters and stays in; of open paths, and in space,
-            whether every piece has a thin tube.
+        certified: Whether every piece of the path has a thin tube: what enters it follows the
+            piece for ever, or to rest at its end.
         reason: Why it is so or not, in words.
         field_digest: Of the field.
-        conditions: What was to be proved of V; None: samples showed nothing to prove, or the
-            path is open or in space.
         tubes: Of each piece of the path a thin tube around its orbit; None: none was found.
-        sigma: The noise level of V; None, as the following, where nothing was proved.
-        alpha: The rate at which V falls in the band at least, per unit of length.
-        delta: |m| in the tube at least.
-        tube_half_width: Largest distance of {V <= c_in} from the path, at most.
+        walls: The walls around each of these, between which all comes to it; None: there are
+            none, as of open pieces and in space.
         orbit_half_width: Largest distance between the thin tubes and the path, at most.
-        parts: What leads down to {V <= c_out} from above.
-        area_fraction: Area of {V <= c_out} and these parts over that of the box, at least.
-        decrease_fraction: Part of the box where V was proved to fall, in these parts or not.
-        entry_time_bound: Time from V = c_out to the tube, at most.
-        levels: Levels of V from c_in to c_out.
-        e_star: The disturbance that m tolerates on the levels between each and the next, at
-            least: {V <= c} stays invariant under x_dot = m + d with |d| below it.
-        step_bound: V falls with Euler steps of m that are shorter in time, from anywhere in
-            the band.
+        cells: The code of the squares that the box was divided into; None, as the following:
+            from where robots come between walls was not asked.
+        area_fraction: Part of the box from which every robot comes between walls, at least.
+        almost_fraction: Part of the box from which almost every robot does, at least.
+        excluded: The sets of squares in which robots may stay, the largest first.
         pieces: Of each piece of the path.
-        counterexample: (2,) a point where a condition does not hold; None: none was found.
-        boxes: Number of squares over which the field was bounded.
-        undecided: Number of squares on which nothing was decided.
+        levels: What is proved of level sets of V; None: it was not asked.
+        counterexample: (2,) a point where m vanishes on a piece without a tube; None: none was
+            found.
+        boxes: Number of squares and other patches over which the field was bounded.
     """
 
     certified: bool
     reason: str
     field_digest: str
-    conditions: Conditions | None = None
     tubes: tuple[Tube | None, ...] = ()
-    sigma: float | None = None
-    alpha: float | None = None
-    delta: float | None = None
-    tube_half_width: float | None = None
+    walls: tuple[Walls | None, ...] = ()
     orbit_half_width: float | None = None
-    parts: tuple[Part, ...] = ()
+    cells: str | None = None
     area_fraction: float | None = None
-    decrease_fraction: float | None = None
-    entry_time_bound: float | None = None
-    levels: tuple[float, ...] = ()
-    e_star: tuple[float, ...] = ()
-    step_bound: float | None = None
+    almost_fraction: float | None = None
+    excluded: tuple[ExcludedSet, ...] = ()
     pieces: tuple[PieceResult, ...] = ()
+    levels: Levels | None = None
     counterexample: tuple[float, float] | None = None
     boxes: int = 0
-    undecided: int = 0
 
     @property
     def e_star_max(self) -> float | None:
-        """The largest of `e_star`."""
-        return max(self.e_star, default=None)
+        """The largest disturbance under which robots stay near every piece; None: unknown."""
+        largest = [max(piece.e_star, default=0.0) for piece in self.pieces]
+        return min(largest, default=0.0) or None
+
+    @property
+    def entry_time_bound(self) -> float | None:
+        """The time from between the outermost walls of any piece to its tube, at most."""
+        return max(
+            (piece.entry_times[-1] for piece in self.pieces if piece.entry_times), default=None
+        )
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> None:
         """Writes the certificate as JSON, whole or not at all.
@@ -183,16 +171,15 @@ class Certificate:
         names = {field.name for field in fields(cls)}
         if set(body) != names:
             raise KeyError(*sorted(names ^ set(body)))
-        point, conditions = body["counterexample"], body["conditions"]
+        point, levels = body["counterexample"], body["levels"]
         return cls(
             **{
                 **body,
-                "conditions": None if conditions is None else Conditions(**conditions),
                 "tubes": tuple(tube and Tube.of(tube) for tube in body["tubes"]),
-                "parts": tuple(map(Part.of, body["parts"])),
-                "levels": tuple(body["levels"]),
-                "e_star": tuple(body["e_star"]),
-                "pieces": tuple(PieceResult(**piece) for piece in body["pieces"]),
+                "walls": tuple(walls and Walls.of(walls) for walls in body["walls"]),
+                "excluded": tuple(map(ExcludedSet.of, body["excluded"])),
+                "levels": None if levels is None else Levels.of(levels),
+                "pieces": tuple(map(PieceResult.of, body["pieces"])),
                 "counterexample": None if point is None else tuple(point),
             }
         )
@@ -202,38 +189,62 @@ class Certificate:
 
         On other machines the last bits of bounds differ.
         """
-        mine, claimed = ((one.certified, one.conditions, one.tubes) for one in (self, other))
-        if mine != claimed:
-            return False
-        if [_kind(piece) for piece in self.pieces] != [_kind(piece) for piece in other.pieces]:
-            return False
-        at_least = ("alpha", "delta", "area_fraction", "decrease_fraction", "step_bound")
-        at_most = ("tube_half_width", "orbit_half_width", "entry_time_bound")
-        pairs = [(getattr(self, name), getattr(other, name)) for name in at_least]
-        pairs += [(getattr(other, name), getattr(self, name)) for name in at_most]
-        pairs += [(self.sigma, other.sigma), (other.sigma, self.sigma)]
-        if len(self.levels) != len(other.levels) or len(self.e_star) != len(other.e_star):
-            return False
-        pairs += zip(self.levels, other.levels, strict=True)
-        pairs += zip(other.levels, self.levels, strict=True)
-        pairs += zip(self.e_star, other.e_star, strict=True)
-        for here, there in zip(self.pieces, other.pieces, strict=True):
-            pairs.append((here.lap_time_low, there.lap_time_low))
-            pairs.append((there.lap_time_high, here.lap_time_high))
-            pairs.append((there.tube_half_width, here.tube_half_width))
-            pairs.append((there.rest_radius, here.rest_radius))
-        return all(
-            (a is None) == (b is None) and (a is None or a >= b - tolerance * math.fabs(b))
-            for a, b in pairs
+        mine, claimed = (
+            (
+                one.certified,
+                one.tubes,
+                one.walls,
+                one.cells,
+                one.levels and one.levels.conditions,
+            )
+            for one in (self, other)
         )
+        if mine != claimed or len(self.pieces) != len(other.pieces):
+            return False
+        at_least, at_most = ("area_fraction", "almost_fraction"), ("orbit_half_width",)
+        pairs = list(_pairs(self, other, at_least, at_most))
+        for here, there in zip(self.pieces, other.pieces, strict=True):
+            if (here.orbit_exists, here.orbit_unique) != (
+                there.orbit_exists,
+                there.orbit_unique,
+            ):
+                return False
+            pairs += _pairs(here, there, OF_PIECES_AT_LEAST, OF_PIECES_AT_MOST)
+        if self.levels is not None and other.levels is not None:
+            pairs += _pairs(self.levels, other.levels, OF_LEVELS_AT_LEAST, OF_LEVELS_AT_MOST)
+        return all(_at_least(a, b, tolerance) for a, b in pairs)
 
     def refused(self, reason: str) -> "Certificate":
         """Returns the same as not certified, with a reason before its own."""
         return replace(self, certified=False, reason=f"{reason}; {self.reason}")
 
 
-def _kind(piece: PieceResult) -> tuple[int | None, bool, bool | None]:
-    return piece.holes, piece.orbit_exists, piece.orbit_unique
+# What a claim may be weaker in than what is proved.
+OF_PIECES_AT_LEAST = ("lap_time_low", "e_star")
+OF_PIECES_AT_MOST = (
+    *("lap_time_high", "tube_half_width", "rest_radius", "wall_half_widths", "entry_times"),
+)
+OF_LEVELS_AT_LEAST = ("alpha", "delta", "decrease_fraction", "step_bound", "e_star")
+OF_LEVELS_AT_MOST = ("tube_half_width", "entry_time_bound")
+
+
+def _pairs(
+    mine: Any, claimed: Any, at_least: Sequence[str], at_most: Sequence[str]
+) -> Iterator[tuple[Any, Any]]:
+    """Yields what has to be as large as what."""
+    for name in at_least:
+        yield getattr(mine, name), getattr(claimed, name)
+    for name in at_most:
+        yield getattr(claimed, name), getattr(mine, name)
+
+
+def _at_least(a: Any, b: Any, tolerance: float) -> bool:
+    """Whether a number, or each of some, is as large as another, but for a tolerance."""
+    if isinstance(a, tuple):
+        return len(a) == len(b) and all(
+            _at_least(x, y, tolerance) for x, y in zip(a, b, strict=True)
+        )
+    return (a is None) == (b is None) and (a is None or a >= b - tolerance * math.fabs(b))
 
 
 def _digest(body: Mapping[str, Any]) -> str:

@@ -1,5 +1,6 @@
-"""From a field to its certificate: samples propose the levels, bounds over squares prove."""
+"""From a field to its certificate: orbits and samples propose, bounds over patches prove."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -7,49 +8,35 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from sgvf_drake.arrays import FloatArray
+from sgvf_drake.certificate.basin import Basin, find_basin, prove_basin
 from sgvf_drake.certificate.boxes import Boxes, BoxSizes
-from sgvf_drake.certificate.by_tubes import ProposeTube, ProvedTube, prove_by_tubes
+from sgvf_drake.certificate.by_tubes import ProposeTube, ProveBasin, prove_by_tubes
+from sgvf_drake.certificate.cells import Cells
 from sgvf_drake.certificate.certificate import Certificate
-from sgvf_drake.certificate.conditions import Conditions
 from sgvf_drake.certificate.field_model import model_field
 from sgvf_drake.certificate.kernels import check_rounding
-from sgvf_drake.certificate.mixture_model import lowest_of, mixture_of
-from sgvf_drake.certificate.path_following import failed, prove
+from sgvf_drake.certificate.level_search import find_levels
+from sgvf_drake.certificate.levels import LevelsProof, prove_levels
 from sgvf_drake.certificate.tube import prove_tube
-from sgvf_drake.certificate.tube_search import find_tube
+from sgvf_drake.certificate.tube_search import FoundTube, find_tube
+from sgvf_drake.certificate.walls import Walls, prove_walls
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import GuidingField, check_position_alone
 from sgvf_drake.fields.storage import field_digest
-from sgvf_drake.lyapunov import (
-    LyapunovFunction,
-    find_guiding_zeros,
-    search_band,
-    take_samples,
-)
+from sgvf_drake.lyapunov import find_guiding_zeros
 from sgvf_drake.paths import ReferencePath
 from sgvf_drake.progress import Progress, no_progress
 
 # The matrices are small: more threads cost more than they bring, many times over where other
 # processes run.
 ONE_THREAD: dict[str, Any] = {"limits": 1, "user_api": "blas"}
-# What is to be proved: V falls by more than this in every normalised unit of length, and m is
-# at least so fast in the tube; and how sharp the bounds are to be.
-ALPHA, DELTA, SHARE = 0.01, 0.05, 0.5
-# Points along each axis at which a band is looked for; what they miss the proof finds.
-GRID_SIZE = 151
-# Noise levels of V that are tried, in those of the field.
-RATIOS = (0.7, 1.0, 1.4)
-# A level at which V does not fall is left out of the band with this margin, so many times.
-LEVEL_MARGIN, LEVEL_FLOOR = 0.03, 0.005
-ATTEMPTS = 12
-# A band on which V changes by less is none.
-MIN_BAND = 0.1
 
 
 def certify(
     field: GuidingField,
     reference: ReferencePath | None = None,
     *,
+    levels: bool = False,
     progress: Progress = no_progress,
 ) -> Certificate:
     """Proves that robots follow a field along its path, or says what is in the way.
@@ -58,49 +45,46 @@ def certify(
 
     Args:
         field: The field.
-        reference: The path, for its pieces and the width of the tube; None: `field.path`.
+        reference: The path, whose pieces are followed; None: `field.path`.
+        levels: Whether level sets of V are proved too, of closed paths in the plane: how fast V
+            falls, and what each level tolerates.  It takes several times as long.
         progress: Told how far it is.
 
     Raises:
-        ConfigurationError: The field is of a kind that nothing bounds.
+        ConfigurationError: The field is of a kind that nothing bounds, or levels are asked for
+            of an open path or in space.
         RuntimeError: The process does not round to nearest.
     """
     check_position_alone(field)
     check_rounding()
+    has_levels = field.dim == 2 and not len(field.ends)
+    if levels and not has_levels:
+        raise ConfigurationError("levels of V are proved of closed paths in the plane only")
     # What nothing bounds is told before the search.
     middle = Boxes(np.zeros((1, field.dim)), np.array([BoxSizes.of(field).cover]))
     model_field(field, middle.patches)
     reference = field.path if reference is None else reference
+    count = len(reference.pieces)
+
+    def propose(number: int, points: FloatArray) -> FoundTube | None:
+        progress("tubes and walls", number, count)
+        return find_tube(field, points, closed=bool(reference.closed[number]))
+
+    def prove(walls: Sequence[Walls]) -> Basin | None:
+        progress("tubes and walls", count, count)
+        return find_basin(field, walls, progress) if walls else None
+
     with threadpool_limits(**ONE_THREAD):
-        if field.dim == 2 and not len(field.ends):
-            return _search(field, reference, progress)
-        return prove_by_tubes(field, reference, _proposed(field, reference))
-
-
-def _proposed(field: GuidingField, reference: ReferencePath) -> ProposeTube:
-    def propose(number: int, points: FloatArray) -> ProvedTube | None:
-        found = find_tube(field, points, closed=reference.pieces[number].closed)
-        return None if found is None else (found.tube, found.proof)
-
-    return propose
-
-
-def _search(field: GuidingField, reference: ReferencePath, progress: Progress) -> Certificate:
-    samples = take_samples(field, grid_size=GRID_SIZE)
-    stops = find_guiding_zeros(field).points
-    band = search_band(field, samples, reference, RATIOS, stops=stops, progress=progress)
-    if band is None:
-        return _without_band(field, reference, stops)
-    sigma = band.function.sigma / field.cloud.unit_length
-    lowest = lowest_of(mixture_of(field, sigma))
-    proposed = Conditions(sigma, lowest, band.c_in, band.c_out, ALPHA, DELTA, SHARE)
-    return _prove_narrowing(field, proposed, reference, progress)
+        found = _located(field, reference, prove_by_tubes(field, reference, propose, prove))
+        if not levels:
+            return found
+        return _with_levels(found, find_levels(field, reference, progress))
 
 
 def check(
     certificate: Certificate, field: GuidingField, reference: ReferencePath | None = None
 ) -> Certificate:
-    """Proves a certificate anew, without the search.
+    """Proves a certificate anew from what it holds, without a search.
 
     Returns:
         What was proved; it is certified where it is as strong as what was claimed.
@@ -115,66 +99,56 @@ def check(
         raise ConfigurationError("the certificate certifies nothing")
     check_rounding()
     reference = field.path if reference is None else reference
-
-    def known(piece: int, _: FloatArray) -> ProvedTube | None:
-        tube = certificate.tubes[piece] if piece < len(certificate.tubes) else None
-        if tube is None or tube.rows.shape[1] != field.dim:
-            return None
-        return tube, prove_tube(field, tube)
-
+    known, prove = _claimed(certificate, field)
     with threadpool_limits(**ONE_THREAD):
-        if certificate.conditions is None:
-            found = prove_by_tubes(field, reference, known)
-        else:
-            found = prove(field, certificate.conditions, reference, known).certificate
+        found = prove_by_tubes(field, reference, known, prove)
+        if certificate.levels is not None:
+            proof = prove_levels(field, certificate.levels.conditions, reference)
+            found = _with_levels(found, proof)
     if not found.is_as_strong_as(certificate):
         return found.refused("what is claimed is not what is proved")
     return found
 
 
-def _prove_narrowing(
-    field: GuidingField, conditions: Conditions, reference: ReferencePath, progress: Progress
-) -> Certificate:
-    """Proves conditions on the band that is left where V was found not to fall."""
-    function = LyapunovFunction(mixture_of(field, conditions.sigma))
-    boxes = 0
+def _claimed(certificate: Certificate, field: GuidingField) -> tuple[ProposeTube, ProveBasin]:
+    """Returns what gives the tubes, the walls and the cells of a certificate, proved."""
 
-    for number in range(ATTEMPTS):
-        attempt = prove(field, conditions, reference, _proposed(field, reference))
-        boxes += attempt.certificate.boxes
-        progress("prove", number + 1, ATTEMPTS)
-        if attempt.obstacle is None:
-            break
-        narrowed = _narrowed(conditions, float(function(attempt.obstacle[None])[0]))
-        if narrowed is None:
-            break
-        conditions = narrowed
-    progress("prove", ATTEMPTS, ATTEMPTS)
-    return replace(attempt.certificate, boxes=boxes)
+    def known(piece: int, _: FloatArray) -> FoundTube | None:
+        if piece >= len(certificate.tubes):
+            return None
+        tube, walls = certificate.tubes[piece], certificate.walls[piece]
+        if tube is None or tube.rows.shape[1] != field.dim:
+            return None
+        proof = prove_tube(field, tube)
+        if walls is None:
+            return FoundTube(tube, proof)
+        found = prove_walls(field, tube, walls)
+        return FoundTube(tube, proof, walls if found.proved == len(walls) else None, found)
 
+    def prove(walls: Sequence[Walls]) -> Basin | None:
+        if certificate.cells is None:
+            return None
+        return prove_basin(field, Cells.of(certificate.cells), walls)
 
-def _narrowed(conditions: Conditions, level: float) -> Conditions | None:
-    """Returns conditions whose band leaves a level out; None: nothing is left of it."""
-    c_in, c_out = conditions.c_in, conditions.c_out
-    if level < c_in:
-        # Of the tube, in which m has to move: a higher tube holds the place too.
-        return None
-    if level**2 < c_in * c_out:
-        c_in = (1 + LEVEL_MARGIN) * level + LEVEL_FLOOR
-    else:
-        c_out = (1 - LEVEL_MARGIN) * level
-    if c_out - c_in < MIN_BAND:
-        return None
-    return replace(conditions, c_in=c_in, c_out=c_out)
+    return known, prove
 
 
-def _without_band(
-    field: GuidingField, reference: ReferencePath, stops: FloatArray
-) -> Certificate:
-    """Returns what samples say where they show no band: a zero of m on the path, if any."""
-    reason = "V falls on no band of levels with a tube about each piece, by samples"
-    if not len(stops):
-        return failed(field, None, reason)
-    x, y = stops[np.argmin(reference.project(stops).distance)].tolist()
-    reason += f"; m vanishes at ({x:.4g}, {y:.4g})"
-    return failed(field, None, reason, counterexample=(x, y))
+def _with_levels(found: Certificate, proof: LevelsProof) -> Certificate:
+    reason = f"{found.reason}; {proof.reason}" if proof.reason else found.reason
+    return replace(found, reason=reason, levels=proof.levels, boxes=found.boxes + proof.boxes)
+
+
+def _located(field: GuidingField, reference: ReferencePath, found: Certificate) -> Certificate:
+    """Returns a certificate with a zero of m on a piece without a tube, if there is one."""
+    if found.certified or field.dim != 2:
+        return found
+    stops = find_guiding_zeros(field).points
+    pieces = [
+        piece for piece, tube in zip(reference.pieces, found.tubes, strict=True) if tube is None
+    ]
+    distance = ReferencePath(tuple(pieces)).project(stops).distance
+    if not len(stops) or distance.min() > field.sigma * field.cloud.unit_length:
+        return found
+    x, y = stops[np.argmin(distance)].tolist()
+    reason = f"{found.reason}; m vanishes at ({x:.4g}, {y:.4g})"
+    return replace(found, reason=reason, counterexample=(x, y))

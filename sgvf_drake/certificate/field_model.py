@@ -75,6 +75,13 @@ class Algebra(Generic[Model]):
         # Not as m + near (at_rest - m), which would count the remainder of m twice.
         return away * m + _one_less(away) * compose(rest.composition, S, N)
 
+    def direction(self, field: BoundedField, patches: Patches) -> Model:
+        """Returns the models of m times a positive function; where paths end, m itself."""
+        base = field.field if isinstance(field, HeldField) else field
+        if base.rest is not None:
+            return self.field(field, patches)
+        return simplify(base.composition, *self.score_and_tangent(field, patches))
+
     def score_and_tangent(self, field: BoundedField, patches: Patches) -> tuple[Model, Model]:
         """Returns the models of the raw score S and of the tangent N as it comes."""
         match field:
@@ -135,15 +142,21 @@ def model_field(field: BoundedField, patches: Patches) -> TaylorModel:
 
 
 def direction_model(field: BoundedField, patches: Patches) -> TaylorModel:
-    """Returns the models of m times a positive function, whose bounds are tighter.
+    """Returns the models of m times a positive function, which are tighter; see `simplify`.
 
     Raises:
         ConfigurationError: The field is of a kind that nothing here bounds.
     """
-    base = field.field if isinstance(field, HeldField) else field
-    if base.rest is not None:
-        return model_field(field, patches)
-    return simplify(base.composition, *TAYLOR.score_and_tangent(field, patches))
+    return TAYLOR.direction(field, patches)
+
+
+def direction_dual(field: BoundedField, patches: Patches) -> DualModel:
+    """Returns the models of m times a positive function, and of its derivatives.
+
+    Raises:
+        ConfigurationError: The field is of a kind whose derivatives nothing here bounds.
+    """
+    return DUAL.direction(field, patches)
 
 
 def dual_field(field: BoundedField, patches: Patches) -> DualModel:

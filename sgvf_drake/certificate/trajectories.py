@@ -15,7 +15,7 @@ from sgvf_drake.fields.compiled import CompiledField
 
 # The relative and the absolute tolerance, and the longest step, in time at |m| = 1, by which
 # no passage of a plane within `NEAR` is missed.
-TOLERANCE, LONGEST_STEP = 1e-7, 0.1
+TOLERANCE, LONGEST_STEP = 1e-7, 0.15
 # A return to within this is looked at, in U, and one to within `CLOSED` ends the search.
 NEAR, CLOSED = 0.2, 1e-6
 # What an orbit is given to settle, in lengths of its piece; so many laps, none longer than so

@@ -198,6 +198,11 @@ class FoundTube:
     walls: Walls | None = None
     walls_proof: WallsProof | None = None
 
+    @property
+    def patches(self) -> int:
+        """How many patches the field was bounded over, for this one alone."""
+        return self.proof.patches + (self.walls_proof.patches if self.walls_proof else 0)
+
 
 def find_tube(field: BoundedField, points: FloatArray, *, closed: bool) -> FoundTube | None:
     """Returns a proved tube around the orbit of a piece of a path; None: none was found.

@@ -71,7 +71,9 @@ class Ladder:
                 sides = np.diff(curve, axis=0)
                 sides /= np.linalg.norm(sides, axis=1, keepdims=True)
                 turn = np.linalg.norm(np.roll(sides, -1, axis=0) - sides, axis=1)
-                shares = np.maximum(shares, np.maximum(turn, np.roll(turn, 1)) / 2 / (SHARE * angle))
+                shares = np.maximum(
+                    shares, np.maximum(turn, np.roll(turn, 1)) / 2 / (SHARE * angle)
+                )
         return shares
 
     def walls(self, times: FloatArray) -> Walls:

@@ -30,16 +30,15 @@ from sgvf_drake.certificate.boxes import Boxes
 from sgvf_drake.certificate.field_model import BoundedField, model_field
 from sgvf_drake.certificate.kernels import SLACK, check_rounding
 from sgvf_drake.certificate.tube import LARGEST, TICK, Tube, normal
-from sgvf_drake.certificate.tube_cells import Answer, Parts, divide
+from sgvf_drake.certificate.tube_cells import Answer, Division, Parts, divide
+from sgvf_drake.compiling import kernel
 from sgvf_drake.paths import Piece, ReferencePath
 
 Polygon = tuple[tuple[int, int], ...]
 # Beyond the error of a projected distance, and the rounding of a winding number, by far.
 OFF = 1e-5
 # Walls are halved until the bound of the speed at which m crosses is so sharp, or so often.
-SHARP, FOR_MARGIN = 0.95, 3
-# Points whose winding numbers are counted at a time.
-CHUNK = 2000
+SHARP, FOR_MARGIN = 0.9, 2
 
 
 @dataclass(frozen=True)
@@ -61,7 +60,9 @@ class Walls:
     def __post_init__(self) -> None:
         ticks = np.array([self.left, self.right])
         if ticks.ndim != 4 or ticks.shape[3] != 2 or ticks.dtype.kind != "i":
-            raise ValueError("walls are pairs of polygons with as many vertices of whole numbers")
+            raise ValueError(
+                "walls are pairs of polygons with as many vertices of whole numbers"
+            )
         if np.abs(ticks).max() > LARGEST:
             raise ValueError(f"walls are of whole numbers up to {LARGEST}")
 
@@ -93,31 +94,42 @@ class Walls:
         """Returns the walls on the left (1) or the right (-1), (p, K, 2), normalised."""
         return TICK * np.array(self.left if side > 0 else self.right, float)
 
-    def hold(self, boxes: Boxes) -> BoolArray:
-        """Tells which squares (n,) are all between the outermost walls."""
-        outer = {side: self.polygons(side)[-1] for side in (1, -1)}
-        border = ReferencePath(tuple(Piece(line, closed=True) for line in outer.values()))
+    def hold(self, boxes: Boxes) -> tuple[BoolArray, BoolArray]:
+        """Tells which squares (n,) are all between the outermost walls, and which none of."""
+        left, right = (self.polygons(side)[-1] for side in (1, -1))
+        border = ReferencePath((Piece(left, closed=True), Piece(right, closed=True)))
         apart = border.project(boxes.centers).distance > np.sqrt(2) * boxes.half + OFF
-        x = boxes.centers[apart]
-        held = np.zeros(len(boxes), bool)
-        held[apart] = winding_numbers(outer[-1], x) > winding_numbers(outer[1], x)
-        return held
+        x = boxes.centers
+        between = winding_numbers(right, x) > winding_numbers(left, x)
+        return apart & between, apart & ~between
+
+    def half_widths(self, tube: Tube) -> FloatArray:
+        """Returns the largest distances (p,) of vertices of each pair from the tube's middle."""
+        off = np.array([self.polygons(side) - tube.rows[:-1, 0] for side in (1, -1)])
+        return np.asarray(np.linalg.norm(off, axis=3).max(axis=(0, 2)))
+
+    @property
+    def narrowest(self) -> float:
+        """The least distance of a vertex of an outermost wall from the other wall."""
+        left, right = (Piece(self.polygons(side)[-1], closed=True) for side in (1, -1))
+        return float(ReferencePath((right,)).project(left.vertices).distance.min())
 
 
+@kernel
 def winding_numbers(polygon: FloatArray, x: FloatArray) -> FloatArray:
     """Returns how often a polygon (K, 2) winds around points (n, 2) that are off it, (n,)."""
-    a, b = polygon, np.roll(polygon, -1, axis=0)
-    parts = []
-    for first in range(0, len(x), CHUNK):
-        p = x[first : first + CHUNK, None]
-        # Edges that pass the height of the point on its right, upwards less downwards.
-        left = np.sign(
-            (b[:, 0] - a[:, 0]) * (p[..., 1] - a[:, 1])
-            - (p[..., 0] - a[:, 0]) * (b[:, 1] - a[:, 1])
-        )
-        up = (a[:, 1] <= p[..., 1]).astype(int) - (b[:, 1] <= p[..., 1])
-        parts.append(np.where(up == left, up, 0).sum(axis=1))
-    return np.concatenate(parts) if parts else np.zeros(0)
+    found = np.zeros(len(x))
+    for k in range(len(polygon)):
+        ax, ay = polygon[k - 1]
+        bx, by = polygon[k]
+        for i in range(len(x)):
+            px, py = x[i]
+            # Edges that pass the height of the point on its right, upwards less downwards.
+            if (ay <= py) != (by <= py):
+                left = (bx - ax) * (py - ay) - (px - ax) * (by - ay)
+                if (by > ay) == (left > 0):
+                    found[i] += 1.0 if by > ay else -1.0
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,11 +140,14 @@ class WallsProof:
         proved: How many pairs are proved, from the tube outwards.
         e_star: The disturbance that each of these tolerates at least: what is between the two
             walls stays there under x_dot = m + d with |d| below it.
+        entry_times: The time from each of these to the tube at most, at |m| = 1 in normalised
+            units of length.
         patches: How many patches the field was bounded over.
     """
 
     proved: int
     e_star: tuple[float, ...]
+    entry_times: tuple[float, ...]
     patches: int
 
 
@@ -154,46 +169,66 @@ def prove_walls(field: BoundedField, tube: Tube, walls: Walls) -> WallsProof:
         raise ValueError("walls have a vertex for each section of a closed tube in the plane")
     middle, half = tube.rows[:-1, 0], tube.rows[:-1, 1]
     inner = {side: middle + side * half for side in (1, -1)}
-    patches, e_star = 0, []
+    patches, time = 0, 0.0
+    e_star, entry_times = [], []
     # What overflows is not below any bound.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         for pair in range(len(walls)):
-            tolerated = []
-            for side in (1, -1):
-                outer = walls.polygons(side)[pair]
-                cells = _between(inner[side], outer, side)
-                found = divide(cells, partial(_ask_inward, field, -side), Parts.longer_halves)
-                patches += found.asked
-                if len(found.open_cells):
-                    return WallsProof(pair, tuple(e_star), patches)
-                wall = divide(_along(outer), partial(_ask_tolerated, field, -side))
-                patches += wall.asked
-                tolerated.append(float(wall.facts.min()) if not len(wall.open_cells) else 0.0)
-                inner[side] = outer
-            e_star.append(min(tolerated))
-    return WallsProof(len(walls), tuple(e_star), patches)
+            outer = {side: walls.polygons(side)[pair] for side in (1, -1)}
+            questions = [_cross(field, inner[side], outer[side], side) for side in (1, -1)]
+            patches += sum(question.asked for question in questions)
+            if any(len(question.open_cells) for question in questions):
+                break
+            time += max(float(question.facts.max()) for question in questions) * (1 + SLACK)
+            margins = [_tolerated(field, outer[side], side) for side in (1, -1)]
+            patches += sum(margin.asked for margin in margins)
+            open_margin = any(len(margin.open_cells) for margin in margins)
+            least = min(float(margin.facts.min(initial=np.inf)) for margin in margins)
+            e_star.append(0.0 if open_margin else least)
+            entry_times.append(time)
+            inner = outer
+    return WallsProof(len(e_star), tuple(e_star), tuple(entry_times), patches)
 
 
-def _between(inner: FloatArray, outer: FloatArray, side: int) -> Parts:
-    """Returns the cells between two polygons."""
+def _cross(field: BoundedField, inner: FloatArray, outer: FloatArray, side: int) -> Division:
+    """Answers whether orbits cross all cells between two polygons, and how fast."""
     rows = np.stack([(inner + outer) / 2, side * (outer - inner) / 2], axis=1)
-    return Parts(rows, np.roll(rows, -1, axis=0), np.arange(len(rows)))
+    cells = Parts(rows, np.roll(rows, -1, axis=0), np.arange(len(rows)))
+    widest = np.linalg.norm([cells.start[:, 1], cells.end[:, 1]], axis=2).max(axis=0)
+    return divide(cells, partial(_ask_inward, field, -side, widest), Parts.longer_halves)
 
 
-def _along(polygon: FloatArray) -> Parts:
-    """Returns the sides of a polygon."""
+def _tolerated(field: BoundedField, polygon: FloatArray, side: int) -> Division:
+    """Answers how fast m points inward on a wall."""
     rows = polygon[:, None]
-    return Parts(rows, np.roll(rows, -1, axis=0), np.arange(len(rows)))
+    sides = Parts(rows, np.roll(rows, -1, axis=0), np.arange(len(rows)))
+    return divide(sides, partial(_ask_tolerated, field, -side))
 
 
-def _ask_inward(field: BoundedField, sign: int, parts: Parts, _: int) -> Answer:
-    """Asks whether m points towards the tube all over parts of cells; see `tube._ask_wall`."""
+def _ask_inward(
+    field: BoundedField, sign: int, widest: FloatArray, parts: Parts, _: int
+) -> Answer:
+    """Asks whether m points towards the tube all over parts of cells, and how fast.
+
+    That is how long it would take from the outer side of a whole cell to the inner one, at
+    most: 2 / |s_dot|.
+
+    Args:
+        field: m.
+        sign: See `tube._ask_wall`.
+        widest: (K,) the largest |S| of the whole cells: so many times |S| of a part, or fewer,
+            is the whole of what s goes over there.
+        parts: The parts.
+    """
     along, across = parts.columns
     outward = normal([along]).scaled(float(sign)).dot(model_field(field, parts.patches))
     volume = normal([across]).dot(along)
-    decided = (outward.upper[:, 0] < 0) & (volume.lower[:, 0] > 0)
-    refuted = (outward.lower[:, 0] >= 0) | (volume.upper[:, 0] <= 0)
-    return Answer(decided, refuted, np.empty((len(parts), 0)))
+    inward, most = -outward.upper[:, 0], volume.upper[:, 0]
+    decided = (inward > 0) & (volume.lower[:, 0] > 0)
+    refuted = (outward.lower[:, 0] >= 0) | (most <= 0)
+    parts_of_it = widest[parts.cell] / np.linalg.norm(parts.start[:, 1], axis=1)
+    times = (1 + SLACK) * 2 * parts_of_it * most / inward
+    return Answer(decided & np.isfinite(times), refuted, times[:, None])
 
 
 def _ask_tolerated(field: BoundedField, sign: int, parts: Parts, depth: int) -> Answer:

@@ -1,18 +1,34 @@
-"""Conditions on V and m and their proof by bounds over squares: C1, C2, and contraction."""
+"""Level sets of V: the conditions C1 and C2 by bounds over squares, and what follows from them.
 
+C1 is that V falls along m wherever c_in <= V <= c_out, C2 that m is nowhere zero where
+V <= c_in.  So all that starts in {V <= c_out} comes to the tube {V <= c_in} in bounded time, and
+stays in it.  The thin tubes and walls say more of most paths; this says it of the levels on
+which a `LyapunovFunction` is watched.
+"""
+
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 import math
+from typing import Any
 
 import numpy as np
 
 from sgvf_drake.arrays import BoolArray, FloatArray
-from sgvf_drake.certificate.boxes import Answer, Boxes, Division, divide
-from sgvf_drake.certificate.field_model import dual_field, model_field
+from sgvf_drake.certificate.boxes import (
+    HALF_WIDTH,
+    Answer,
+    Boxes,
+    BoxSizes,
+    Division,
+    divide,
+)
+from sgvf_drake.certificate.field_model import model_field
 from sgvf_drake.certificate.kernels import SLACK
-from sgvf_drake.certificate.mixture_model import MixtureModel
+from sgvf_drake.certificate.mixture_model import MixtureModel, mixture_of
 from sgvf_drake.certificate.taylor_model import TaylorModel
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import GuidingField
+from sgvf_drake.paths import ReferencePath
 
 LOW, HIGH, RATE, MARGIN, STEP = range(5)
 """Columns of the facts of C1: bounds of V; a bound from above of V_dot where V is in the
@@ -22,9 +38,6 @@ of -V_dot / |m|^2."""
 
 SPEED = 0
 """The only column of the facts of C2: a bound of |m| from below."""
-
-DIVERGENCE = 0
-"""The only column of the facts of the contraction: a bound of div m from above."""
 
 # Intervals of levels on which the rate and the margin are told.
 NUM_INTERVALS = 200
@@ -200,42 +213,6 @@ class Speed:
 
 
 @dataclass(frozen=True, eq=False)
-class Contraction:
-    """The question whether div m < 0 in a ring of {V <= c_in}.
-
-    Then, by Dulac's criterion, a ring holds one closed orbit at most: two would have an
-    area between them that m makes smaller and keeps.
-
-    Attributes:
-        field: m.
-        levels: V, in the field's normalised units.
-        c_in: The level of the tube.
-    """
-
-    field: GuidingField
-    levels: MixtureModel
-    c_in: float
-
-    def prove(self, boxes: Boxes, smallest: float) -> Division:
-        """Answers it over squares that cover the ring."""
-        return divide(boxes, self._ask, self._refute, smallest)
-
-    def _ask(self, boxes: Boxes) -> Answer:
-        facts = np.full((len(boxes), 1), np.nan)
-        inside = self.levels.level_range(boxes)[0] <= self.c_in
-        with np.errstate(over="ignore", invalid="ignore"):
-            divergence = dual_field(self.field, boxes[inside].patches).divergence
-            facts[inside] = divergence.upper
-        decided = ~inside | (facts[:, DIVERGENCE] < 0)
-        return Answer(decided, facts, int(inside.sum()))
-
-    def _refute(self, z: FloatArray) -> BoolArray:
-        jacobian = self.field.value_and_jacobian(self.field.cloud.denormalize(z))[1]
-        _, V = self.levels.level_range(Boxes.points(z))
-        return (self.c_in >= V) & (np.trace(jacobian, 0, 1, 2) >= 0)
-
-
-@dataclass(frozen=True, eq=False)
 class Rates:
     """How fast V falls on a band, by intervals of levels.  All are bounds from below.
 
@@ -278,3 +255,114 @@ def falling_area(decrease: Division, c_in: float, c_out: float) -> float:
     facts = decrease.facts
     inside = (facts[:, LOW] >= c_in) & (facts[:, HIGH] <= c_out)
     return float((4 * decrease.boxes.half[inside] ** 2).sum())
+
+
+@dataclass(frozen=True)
+class Levels:
+    """What is proved of level sets of V; lengths are in the unit of the waypoints.
+
+    Times are those at |m| = 1.
+
+    Attributes:
+        conditions: C1 and C2.
+        sigma: The noise level of V.
+        alpha: The rate at which V falls in the band at least, per unit of length.
+        delta: |m| in the tube {V <= c_in} at least.
+        tube_half_width: Largest distance of that tube from the path, at most.
+        decrease_fraction: Part of the box where V was proved to fall, in the band.
+        entry_time_bound: Time from V = c_out to that tube, at most.
+        levels: Levels of V from c_in to c_out.
+        e_star: The disturbance that m tolerates on the levels between each and the next, at
+            least: {V <= c} stays invariant under x_dot = m + d with |d| below it.
+        step_bound: V falls with Euler steps of m that are shorter in time, from anywhere in
+            the band.
+    """
+
+    conditions: Conditions
+    sigma: float
+    alpha: float
+    delta: float
+    tube_half_width: float
+    decrease_fraction: float
+    entry_time_bound: float
+    levels: tuple[float, ...]
+    e_star: tuple[float, ...]
+    step_bound: float
+
+    @classmethod
+    def of(cls, body: Mapping[str, Any]) -> "Levels":
+        """Returns what a JSON object tells; see `Conditions` for the errors raised."""
+        lists = {name: tuple(body[name]) for name in ("levels", "e_star")}
+        return cls(**{**body, **lists, "conditions": Conditions(**body["conditions"])})
+
+
+@dataclass(frozen=True, eq=False)
+class LevelsProof:
+    """How a proof of C1 and C2 ended.
+
+    Attributes:
+        levels: What is proved; None: not both.
+        reason: Why it is not, in words.
+        obstacle: (2,) in normalised units, where a condition does not hold or was not decided;
+            None: there is no such place.
+        boxes: Over how many squares the field was bounded.
+    """
+
+    levels: Levels | None
+    reason: str = ""
+    obstacle: FloatArray | None = None
+    boxes: int = 0
+
+
+def prove_levels(
+    field: GuidingField, conditions: Conditions, reference: ReferencePath
+) -> LevelsProof:
+    """Proves C1 and C2.
+
+    Args:
+        field: The field, of closed paths in the plane.
+        conditions: What is to be proved.
+        reference: The path, for the width of the tube.
+    """
+    sizes, c = BoxSizes.of(field), conditions
+    V = MixtureModel(mixture_of(field, c.sigma), c.lowest)
+    basin = V.squares_below(c.c_out, sizes.everything, sizes.first)
+    if not len(basin) or np.abs(basin.centers).max() + sizes.first >= HALF_WIDTH:
+        return LevelsProof(None, "{V <= c_out} is not a set in the square")
+    falls = Decrease(field, V, c.c_in, c.c_out, c.alpha, c.share).prove(basin, sizes.last)
+    if not falls.proved:
+        return _undone(field, "V falls along m on the band", [falls])
+    tube = V.squares_below(c.c_in, sizes.everything, sizes.ring)
+    moves = Speed(field, V, c.c_in, c.delta, c.share).prove(tube, sizes.last)
+    if not moves.proved:
+        return _undone(field, "m is nowhere zero in the tube", [falls, moves])
+    unit, found = field.cloud.unit_length, rates(falls, c.c_in, c.c_out)
+    lower, upper = field.cloud.box
+    near = V.squares_below(c.c_in, sizes.everything, sizes.cover)
+    off = reference.project(field.cloud.denormalize(near.centers)).distance.max()
+    levels = Levels(
+        conditions=c,
+        sigma=c.sigma * unit,
+        alpha=float(found.alpha.min()) / unit,
+        delta=float(np.nanmin(moves.facts[:, SPEED])),
+        tube_half_width=float(off + np.sqrt(2) * sizes.cover * unit),
+        decrease_fraction=falling_area(falls, c.c_in, c.c_out)
+        / float(np.prod((upper - lower) / unit)),
+        entry_time_bound=found.entry_time * unit,
+        levels=tuple(found.levels.tolist()),
+        e_star=tuple(found.e_star.tolist()),
+        # The Hessian of V is at most I / sigma^2.
+        step_bound=2 * c.sigma**2 * found.step * unit,
+    )
+    return LevelsProof(levels, boxes=falls.evaluated + moves.evaluated)
+
+
+def _undone(field: GuidingField, what: str, divisions: list[Division]) -> LevelsProof:
+    """Returns what the last of some divisions left open or refuted."""
+    last, boxes = divisions[-1], sum(division.evaluated for division in divisions)
+    if last.counterexample is None:
+        reason = f"it is undecided on {len(last.undecided)} squares whether {what}"
+        return LevelsProof(None, reason, last.undecided.centers[0], boxes)
+    x, y = field.cloud.denormalize(last.counterexample).tolist()
+    reason = f"it is not so that {what}, at ({x:.4g}, {y:.4g})"
+    return LevelsProof(None, reason, last.counterexample, boxes)
