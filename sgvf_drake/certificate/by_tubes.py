@@ -51,14 +51,16 @@ def prove_by_tubes(
         found if found is not None and _follows(found, piece) else None
         for found, piece in zip(proposed, reference.pieces, strict=True)
     ]
-    walls = tuple(found and found.walls for found in followed)
+    tubes = tuple(None if found is None else found.tube for found in followed)
+    walls = tuple(None if found is None else found.walls for found in followed)
     basin = prove([one for one in walls if one is not None])
     boxes = sum(found.patches for found in proposed if found is not None)
-    tubes = tuple(found and found.tube for found in followed)
     missing = [str(k) for k, tube in enumerate(tubes, start=1) if tube is None]
     certificate = Certificate(
         certified=not missing,
-        reason="what enters the tube of a piece follows it; from where robots enter is not proved",
+        reason=(
+            "what enters the tube of a piece follows it; from where robots enter is not proved"
+        ),
         field_digest=field_digest(field),
         tubes=tubes,
         walls=walls,

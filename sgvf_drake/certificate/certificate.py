@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from sgvf_drake.certificate.basin import ExcludedSet
-from sgvf_drake.certificate.levels import Levels
+from sgvf_drake.certificate.levels import Conditions, Levels
 from sgvf_drake.certificate.tube import Tube
 from sgvf_drake.certificate.walls import Walls
 from sgvf_drake.exceptions import ConfigurationError
@@ -217,6 +217,14 @@ class Certificate:
     def refused(self, reason: str) -> "Certificate":
         """Returns the same as not certified, with a reason before its own."""
         return replace(self, certified=False, reason=f"{reason}; {self.reason}")
+
+
+def _conditions(certificate: Certificate) -> Conditions | None:
+    return None if certificate.levels is None else certificate.levels.conditions
+
+
+def _kind(piece: PieceResult) -> tuple[bool, bool | None]:
+    return piece.orbit_exists, piece.orbit_unique
 
 
 # What a claim may be weaker in than what is proved.

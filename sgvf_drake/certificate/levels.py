@@ -1,9 +1,9 @@
 """Level sets of V: the conditions C1 and C2 by bounds over squares, and what follows from them.
 
 C1 is that V falls along m wherever c_in <= V <= c_out, C2 that m is nowhere zero where
-V <= c_in.  So all that starts in {V <= c_out} comes to the tube {V <= c_in} in bounded time, and
-stays in it.  The thin tubes and walls say more of most paths; this says it of the levels on
-which a `LyapunovFunction` is watched.
+V <= c_in.  So all that starts in {V <= c_out} comes to the tube {V <= c_in} in bounded time,
+and stays in it.  Tubes and walls say more of most paths; this says it of the levels on which a
+`LyapunovFunction` is watched.
 """
 
 from collections.abc import Mapping

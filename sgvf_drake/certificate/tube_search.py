@@ -225,7 +225,7 @@ def find_tube(field: BoundedField, points: FloatArray, *, closed: bool) -> Found
         found = found if tighter is None else tighter
         if found is not None and found.proof.spread <= SPREAD:
             break
-    return found and _with_walls(course, found)
+    return None if found is None else _with_walls(course, found)
 
 
 def _with_walls(course: Course, found: "_Refined") -> FoundTube:

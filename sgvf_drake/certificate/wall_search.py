@@ -19,7 +19,7 @@ from sgvf_drake.certificate.walls import Walls
 from sgvf_drake.paths import Piece, ReferencePath
 
 # Turns of m in rad: what is between two walls is crossed at an angle between theirs.
-ANGLES = (0.12, 0.24, 0.4, 0.6, 0.8, 1.0, 1.2)
+ANGLES = (0.15, 0.4, 0.7, 1.0, 1.2)
 # A wall turns from vertex to vertex by no more than this share of its angle.
 SHARE = 0.5
 # Points of an orbit in each normalised unit of its length.

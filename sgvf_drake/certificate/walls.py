@@ -2,20 +2,20 @@
 
 On either side of a thin tube runs a chain of closed polygons, each with a vertex for each
 section of the tube.  Between two that follow each other, and two sections, is the image of a
-square under the map F(t, s) of `tube`, with s above zero on the left.  Over each such cell it is
+square under the map F(t, s) of `tube`, with s growing to the left.  Over each such cell it is
 proved that
 
 - det [T, S] > 0, so that m has coordinates there, m = t_dot T + s_dot S;
-- det [T, m] < 0 on the left of the tube, which is s_dot < 0, and > 0 on the right.
+- det [T, m] < 0 on the left of the tube, which is s_dot < 0, and > 0 on its right.
 
-Neighbouring cells share a side, along which their s is the same.  So |s| falls for ever, and by
-more than some number in each unit of time, until the tube is reached.  There is no gap: the first
-polygons are the walls of the tube.
+Neighbouring cells share a side, along which their s is the same.  So an orbit crosses all cells
+from one polygon to the next, in a time that is no longer than 2 / |s_dot| in any cell, and
+comes to the tube.  There is no gap: the first polygons are the walls of the tube.
 
-Where the cells are depends on two polygons alone.  They fit together like a map (four convex
-corners around each vertex have less than two full turns, so they have one), and each covers what
-it does with the same orientation.  So a point is in as many cells as the right polygon winds more
-often around it than the left one (`Walls.hold`).
+Where the cells are depends on two polygons alone.  Cells fit together around each vertex once,
+since their four corners there are convex, and all are the right way round.  So a point is in
+as many of them, or of the tube, as the outermost polygon on the right winds more often around
+it than that on the left (`Walls.hold`).
 """
 
 from collections.abc import Mapping
@@ -35,10 +35,11 @@ from sgvf_drake.compiling import kernel
 from sgvf_drake.paths import Piece, ReferencePath
 
 Polygon = tuple[tuple[int, int], ...]
-# Beyond the error of a projected distance, and the rounding of a winding number, by far.
-OFF = 1e-5
-# Walls are halved until the bound of the speed at which m crosses is so sharp, or so often.
-SHARP, FOR_MARGIN = 0.9, 2
+# Beyond the rounding of coordinates, by far.
+OFF = 1e-9
+# Parts of cells and of walls are halved until the bound of the speed at which m crosses is such
+# a part of that at the middle, or so often.
+SHARP, SHARPEST, FOR_SPEED = 0.5, 0.9, 2
 
 
 @dataclass(frozen=True)
@@ -96,17 +97,18 @@ class Walls:
 
     def hold(self, boxes: Boxes) -> tuple[BoolArray, BoolArray]:
         """Tells which squares (n,) are all between the outermost walls, and which none of."""
-        left, right = (self.polygons(side)[-1] for side in (1, -1))
-        border = ReferencePath((Piece(left, closed=True), Piece(right, closed=True)))
-        apart = border.project(boxes.centers).distance > np.sqrt(2) * boxes.half + OFF
-        x = boxes.centers
-        between = winding_numbers(right, x) > winding_numbers(left, x)
-        return apart & between, apart & ~between
+        winds, apart = np.zeros(len(boxes)), np.ones(len(boxes), bool)
+        for side in (1, -1):
+            polygon = self.polygons(side)[-1]
+            turns, met = _around(polygon, boxes.centers, boxes.half)
+            winds -= side * turns
+            apart &= ~met
+        return apart & (winds > 0), apart & (winds <= 0)
 
-    def half_widths(self, tube: Tube) -> FloatArray:
-        """Returns the largest distances (p,) of vertices of each pair from the tube's middle."""
+    def half_widths(self, tube: Tube) -> list[float]:
+        """Returns how far the vertices of each pair are from the tube's middle, at most."""
         off = np.array([self.polygons(side) - tube.rows[:-1, 0] for side in (1, -1)])
-        return np.asarray(np.linalg.norm(off, axis=3).max(axis=(0, 2)))
+        return list(np.linalg.norm(off, axis=3).max(axis=(0, 2)).tolist())
 
     @property
     def narrowest(self) -> float:
@@ -116,20 +118,41 @@ class Walls:
 
 
 @kernel
-def winding_numbers(polygon: FloatArray, x: FloatArray) -> FloatArray:
-    """Returns how often a polygon (K, 2) winds around points (n, 2) that are off it, (n,)."""
-    found = np.zeros(len(x))
+def _around(
+    polygon: FloatArray, centers: FloatArray, half: FloatArray
+) -> tuple[FloatArray, BoolArray]:
+    """Returns how often a polygon winds around the centres of squares, and which it meets.
+
+    Where it meets a square, or comes as near as rounding could hide that, the first means
+    nothing.
+
+    Args:
+        polygon: (K, 2) its vertices.
+        centers: (n, 2).
+        half: (n,) half-sides.
+    """
+    winds, met = np.zeros(len(half)), np.zeros(len(half), np.bool_)
     for k in range(len(polygon)):
         ax, ay = polygon[k - 1]
         bx, by = polygon[k]
-        for i in range(len(x)):
-            px, py = x[i]
-            # Edges that pass the height of the point on its right, upwards less downwards.
-            if (ay <= py) != (by <= py):
-                left = (bx - ax) * (py - ay) - (px - ax) * (by - ay)
-                if (by > ay) == (left > 0):
-                    found[i] += 1.0 if by > ay else -1.0
-    return found
+        dx, dy = bx - ax, by - ay
+        for i in range(len(half)):
+            px, py = centers[i]
+            reach = half[i] + OFF
+            # Which side of the line of the edge the centre is on.
+            left = dx * (py - ay) - (px - ax) * dy
+            if (
+                min(ax, bx) <= px + reach
+                and max(ax, bx) >= px - reach
+                and min(ay, by) <= py + reach
+                and max(ay, by) >= py - reach
+                and abs(left) <= reach * (abs(dx) + abs(dy))
+            ):
+                met[i] = True
+            # Edges that pass the height of the centre on its right, upwards less downwards.
+            if (ay <= py) != (by <= py) and (dy > 0) == (left > 0):
+                winds[i] += 1.0 if dy > 0 else -1.0
+    return winds, met
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,7 +229,7 @@ def _tolerated(field: BoundedField, polygon: FloatArray, side: int) -> Division:
 
 
 def _ask_inward(
-    field: BoundedField, sign: int, widest: FloatArray, parts: Parts, _: int
+    field: BoundedField, sign: int, widest: FloatArray, parts: Parts, depth: int
 ) -> Answer:
     """Asks whether m points towards the tube all over parts of cells, and how fast.
 
@@ -225,6 +248,7 @@ def _ask_inward(
     volume = normal([across]).dot(along)
     inward, most = -outward.upper[:, 0], volume.upper[:, 0]
     decided = (inward > 0) & (volume.lower[:, 0] > 0)
+    decided &= (inward >= SHARP * -outward.value[:, 0]) | (depth >= FOR_SPEED)
     refuted = (outward.lower[:, 0] >= 0) | (most <= 0)
     parts_of_it = widest[parts.cell] / np.linalg.norm(parts.start[:, 1], axis=1)
     times = (1 + SLACK) * 2 * parts_of_it * most / inward
@@ -235,7 +259,7 @@ def _ask_tolerated(field: BoundedField, sign: int, parts: Parts, depth: int) -> 
     """Asks how fast m points inward all over parts of walls, at least."""
     along = parts.columns[0]
     outward = normal([along]).scaled(float(sign)).dot(model_field(field, parts.patches))
-    sharp = outward.upper[:, 0] <= SHARP * outward.value[:, 0]
     inward = -outward.upper[:, 0] / np.linalg.norm(along.value, axis=1) * (1 - SLACK)
-    decided = (inward > 0) & (sharp | (depth >= FOR_MARGIN))
+    sharp = outward.upper[:, 0] <= SHARPEST * outward.value[:, 0]
+    decided = (inward > 0) & (sharp | (depth >= FOR_SPEED))
     return Answer(decided, outward.lower[:, 0] >= 0, inward[:, None])
