@@ -6,8 +6,8 @@ through a corner it passes two sides at once.  So orbits are walks on the graph 
 
 A walk stays at last among squares of which each leads to each, or in one of them.  An orbit
 cannot stay where m . u > 0 for one direction u on all of these (`_moves`).  So from squares
-from which no walk leads to a set that has no such u, or out of the box, every orbit comes to the
-goal in bounded time: to a square all of which is between walls.
+from which no walk leads to a set that has no such u, or out of the box, every orbit comes to
+the goal in bounded time: to a square all of which is between walls.
 
 What is **excluded** are the other sets: around zeros, and what leads there.  Where div m > 0
 all over one, the points that stay in it for ever are of measure zero, because m carries them

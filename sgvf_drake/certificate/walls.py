@@ -242,6 +242,7 @@ def _ask_inward(
         widest: (K,) the largest |S| of the whole cells: so many times |S| of a part, or fewer,
             is the whole of what s goes over there.
         parts: The parts.
+        depth: How often they were halved.
     """
     along, across = parts.columns
     outward = normal([along]).scaled(float(sign)).dot(model_field(field, parts.patches))
