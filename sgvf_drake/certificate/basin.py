@@ -39,6 +39,8 @@ DIRECTIONS = np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1)
 CHUNK = 1000
 # Excluded sets are divided until they are no larger than this part of the box.
 ENOUGH = 0.005
+# As where a piece has no walls: around what attracts robots, no division is of use.
+MOST_AT_ONCE = 30_000
 
 # Squares on walls are divided to this part of the distance between them.
 FIT = 0.25
@@ -194,7 +196,8 @@ def find_basin(
         progress("cells", round_number, DEPTH)
         graph = _graph(known)
         divisible = graph.stays & (known.cells.size > 1)
-        if not divisible.any() or _part_of_box(field, known.cells, graph.stays) <= ENOUGH:
+        enough = _part_of_box(field, known.cells, graph.stays) <= ENOUGH
+        if enough or not 0 < 4 * divisible.sum() <= MOST_AT_ONCE:
             break
         parts = _Known.of(field, known.cells[divisible].quarters(), walls)
         evaluated += parts.evaluated

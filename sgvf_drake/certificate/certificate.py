@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from sgvf_drake.certificate.basin import ExcludedSet
+from sgvf_drake.certificate.cells import Cells
 from sgvf_drake.certificate.levels import Conditions, Levels
 from sgvf_drake.certificate.tube import Tube
 from sgvf_drake.certificate.walls import Walls
@@ -172,6 +173,9 @@ class Certificate:
         if set(body) != names:
             raise KeyError(*sorted(names ^ set(body)))
         point, levels = body["counterexample"], body["levels"]
+        if body["cells"] is not None:
+            # What is no code is told here.
+            Cells.of(body["cells"])
         return cls(
             **{
                 **body,

@@ -59,6 +59,8 @@ class Walls:
     right: tuple[Polygon, ...]
 
     def __post_init__(self) -> None:
+        if len(self.left) != len(self.right):
+            raise ValueError(f"{len(self.left)} walls on the left and {len(self.right)} right")
         ticks = np.array([self.left, self.right])
         if ticks.ndim != 4 or ticks.shape[3] != 2 or ticks.dtype.kind != "i":
             raise ValueError(

@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 from sgvf_drake import certify
 from sgvf_drake.certificate import Certificate, check
 from sgvf_drake.certificate.tube import corners
+from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.paths import Piece, ReferencePath
 from tests.fields import exact_field, linear_network
 from tests.helpers import circle
@@ -40,7 +41,9 @@ def test_it_is_proved_anew_from_its_file(case, tmp_path):
     field, path, found = case
     assert found.certified, found.reason
     assert "from where robots enter is not proved" in found.reason
-    assert (found.conditions, found.area_fraction, found.e_star_max) == (None, None, None)
+    assert (found.cells, found.area_fraction, found.e_star_max) == (None, None, None)
+    with pytest.raises(ConfigurationError, match="closed paths in the plane only"):
+        certify(field, path, levels=True)
     found.save(tmp_path / "certificate.json")
     again = check(Certificate.load(tmp_path / "certificate.json"), field, path)
     assert again.is_as_strong_as(found)

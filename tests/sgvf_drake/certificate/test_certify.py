@@ -7,90 +7,33 @@ import json
 
 import numpy as np
 import pytest
-from scipy import ndimage
 from scipy.integrate import solve_ivp
 
 from sgvf_drake import certify
-from sgvf_drake.certificate import Certificate, check
+from sgvf_drake.certificate import Cells, Certificate, check
 from sgvf_drake.certificate import certificate as module
 from sgvf_drake.certificate.kernels import check_rounding
-from sgvf_drake.certificate.path_following import prove
-from sgvf_drake.certificate.tube import prove_tube
+from sgvf_drake.certificate.tube import TICK
 from sgvf_drake.exceptions import ConfigurationError, OutputExistsError
 from sgvf_drake.fields import GaussianMixture
-from sgvf_drake.lyapunov import LyapunovFunction
-from sgvf_drake.metrics import grid_starts
-
-
-def function_of(field, certificate):
-    return LyapunovFunction(GaussianMixture(field.mixture.points, certificate.sigma))
+from sgvf_drake.fields.storage import field_digest
 
 
 def test_the_search_certifies_a_ring(ring):
     field, path, stored = ring
-    found = certify(field, path)
+    found = certify(field, path, levels=True)
     assert found.certified, found.reason
-    assert found.conditions.c_out == pytest.approx(stored.conditions.c_out, rel=1e-3)
-    (piece,) = found.pieces
-    assert (piece.orbit_exists, piece.holes) == (True, 1)
-    assert (found.counterexample, found.undecided) == (None, 0)
-    assert found.alpha > 0
-    assert 0.5 < found.delta <= 1.001
-    assert 0 < found.area_fraction <= 1
-    assert 0 < found.decrease_fraction <= 1
-    assert path.project(field.cloud.points).distance.max() < found.tube_half_width
-
-
-def test_robots_enter_the_tube_in_time_and_stay(ring):
-    field, _, certificate = ring
-    V = function_of(field, certificate)
-    c_in, c_out = certificate.conditions.c_in, certificate.conditions.c_out
-    starts = grid_starts(field.cloud.box, 400, 2)
-    level = V(starts)
-    starts = starts[(level <= c_out) & (level > c_in)][::8]
-    assert len(starts) > 10
-    times = np.linspace(0, 3 * certificate.entry_time_bound, 200)
-    for start in starts:
-        found = solve_ivp(lambda _, x: field(x), times[[0, -1]], start, t_eval=times, rtol=1e-8)
-        levels = V(found.y.T)
-        assert (np.diff(levels[levels > c_in]) < 0).all()
-        assert (levels[times >= certificate.entry_time_bound] <= c_in).all()
-
-
-def test_robots_come_down_from_what_is_above_the_band(ring):
-    field, _, certificate = ring
-    V, c_out = function_of(field, certificate), certificate.conditions.c_out
-    axes = [np.linspace(*ends, 301) for ends in zip(*field.cloud.box, strict=True)]
-    x = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-    level = V(x.reshape(-1, 2)).reshape(301, 301)
-    assert certificate.parts
-    for part in certificate.parts:
-        labels, _ = ndimage.label((level >= c_out) & (level <= part.level))
-        at = (int(np.abs(axis - p).argmin()) for axis, p in zip(axes, part.point, strict=True))
-        inside = x[(labels == labels[tuple(at)]) & (level > c_out)]
-        assert len(inside) > 100
-        for start in inside[:: len(inside) // 6]:
-            found = solve_ivp(lambda _, x: field(x), (0, 40), start, max_step=0.2, rtol=1e-7)
-            levels = V(found.y.T)
-            assert (np.diff(levels[levels > c_out]) < 0).all()
-            assert levels[-1] <= c_out
-
-
-def test_levels_tolerate_what_is_said_steps_may_be_so_long_and_the_area_is_there(ring):
-    field, _, certificate = ring
-    V = function_of(field, certificate)
-    x = np.random.default_rng(0).uniform(*field.cloud.box, (40_000, 2))
-    level, gradient = V.value_and_gradient(x)
-    below = (certificate.conditions.c_out >= level).mean()
-    reached = (max(part.level for part in certificate.parts) >= level).mean()
-    assert 0.9 * below < certificate.area_fraction < reached + 0.02
-    inside = (level >= certificate.levels[0]) & (level < certificate.levels[-1])
-    x, level, gradient = x[inside], level[inside], gradient[inside]
-    m = field(x)
-    inward = -(gradient * m).sum(axis=1) / np.linalg.norm(gradient, axis=1)
-    claimed = np.array(certificate.e_star)[np.searchsorted(certificate.levels, level) - 1]
-    assert (inward >= claimed).all()
-    assert (V(x + 0.999 * certificate.step_bound * m) < level).all()
+    assert found.area_fraction == pytest.approx(stored.area_fraction, abs=0.01)
+    (piece,), (known,) = found.pieces, stored.pieces
+    assert (piece.orbit_exists, piece.orbit_unique) == (True, True)
+    np.testing.assert_allclose(piece.e_star, known.e_star, atol=0.01)
+    assert found.e_star_max == max(piece.e_star) > 0.8
+    assert found.entry_time_bound == piece.entry_times[-1]
+    assert found.counterexample is None
+    c_out = stored.levels.conditions.c_out
+    assert found.levels.conditions.c_out == pytest.approx(c_out, rel=1e-3)
+    # Without levels all else is the same.
+    assert certify(field, path) == replace(found, levels=None, boxes=certify(field, path).boxes)
 
 
 @pytest.mark.full
@@ -98,26 +41,25 @@ def test_two_rings_have_an_orbit_each(make_ring):
     field, path = make_ring(1.6, 4.0)
     found = certify(field, path)
     assert found.certified, found.reason
-    assert [piece.holes for piece in found.pieces] == [1, 1]
+    assert [piece.orbit_unique for piece in found.pieces] == [True, True]
     laps = [piece.lap_time_high for piece in found.pieces]
     assert laps[0] < laps[1]
-    # The tube around one piece says nothing of the other.
-    swapped = check(replace(found, tubes=found.tubes[::-1]), field, path)
-    assert not swapped.certified
-    assert [piece.lap_time_high for piece in swapped.pieces] == [None, None]
+    assert check(found, field, path).certified
+    # What is around one piece says nothing of the other.
+    swapped = replace(found, tubes=found.tubes[::-1], walls=found.walls[::-1])
+    assert not check(swapped, field, path).certified
 
 
 def test_the_unit_of_the_waypoints_does_not_matter(make_ring, ring):
     _, _, own = ring
     field, path = make_ring(4.0, scale=1000.0)
-    (tube,) = own.tubes
-    known = tube, prove_tube(field, tube)
-    found = prove(field, own.conditions, path, lambda piece, _: known).certificate
-    assert found.certified
-    for name in ("sigma", "tube_half_width", "entry_time_bound", "step_bound"):
-        assert getattr(found, name) == pytest.approx(1000 * getattr(own, name), rel=1e-6)
-    assert found.alpha == pytest.approx(own.alpha / 1000, rel=1e-6)
-    np.testing.assert_allclose(found.e_star, own.e_star, rtol=1e-6)
+    found = check(replace(own, field_digest=field_digest(field), levels=None), field, path)
+    assert found.area_fraction == pytest.approx(own.area_fraction)
+    (piece,), (known,) = found.pieces, own.pieces
+    for name in ("lap_time_low", "tube_half_width", "wall_half_widths", "entry_times"):
+        expected = 1000 * np.array(getattr(known, name))
+        np.testing.assert_allclose(getattr(piece, name), expected, rtol=1e-6)
+    np.testing.assert_allclose(piece.e_star, known.e_star, rtol=1e-6)
 
 
 def test_planted_obstacles_are_refused(make_ring):
@@ -129,7 +71,7 @@ def test_planted_obstacles_are_refused(make_ring):
     assert np.linalg.norm(field(point)) < 1e-6
     assert path.project(point).distance[0] < 0.3
     assert "vanishes" in found.reason
-    assert found.sigma is found.e_star_max is None
+    assert (found.walls, found.e_star_max) == ((None,), None)
     with pytest.raises(ConfigurationError, match="certifies nothing"):
         check(found, field, path)
     # A field that flows out.
@@ -151,39 +93,33 @@ def test_a_certificate_is_written_and_read(ring, tmp_path):
     assert Certificate.load(file) == certificate
 
 
+def larger(piece, name, factor):
+    return replace(piece, **{name: tuple(factor * x for x in getattr(piece, name))})
+
+
 def test_a_stronger_claim_is_told(ring):
     field, path, own = ring
-    doubled = {"alpha": 2 * own.alpha, "e_star": tuple(2 * value for value in own.e_star)}
-    for name, value in (
-        *doubled.items(),
-        ("tube_half_width", 0.5 * own.tube_half_width),
-        ("entry_time_bound", 0.9 * own.entry_time_bound),
-    ):
-        claimed = replace(own, **{name: value})
+    (piece,) = own.pieces
+    stronger = [
+        replace(own, area_fraction=own.area_fraction + 1e-3),
+        replace(own, orbit_half_width=0.5 * own.orbit_half_width),
+        replace(own, pieces=(larger(piece, "e_star", 1.001),)),
+        replace(own, pieces=(larger(piece, "entry_times", 0.9),)),
+        replace(own, pieces=(replace(piece, lap_time_high=piece.lap_time_low),)),
+        replace(own, levels=replace(own.levels, alpha=2 * own.levels.alpha)),
+        replace(own, levels=replace(own.levels, tube_half_width=0.01)),
+    ]
+    for claimed in stronger:
         assert not own.is_as_strong_as(claimed)
         assert claimed.is_as_strong_as(own)
-    assert not own.is_as_strong_as(replace(own, e_star=(*own.e_star, 0.9)))
+    longer = replace(piece, e_star=(*piece.e_star, 0.9))
+    assert not own.is_as_strong_as(replace(own, pieces=(longer,)))
     assert not replace(own, certified=False).is_as_strong_as(own)
     # A check proves everything anew, and refuses what is not so.
-    found = check(replace(own, alpha=2 * own.alpha), field, path)
+    found = check(stronger[2], field, path)
     assert not found.certified
     assert found.reason.startswith("what is claimed is not what is proved")
     assert replace(found, certified=True).is_as_strong_as(own)
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        *({"alpha": 0.0}, {"alpha": -5.0}, {"delta": 0.0}, {"sigma": 0.0}, {"c_in": 0.0}),
-        *({"c_out": 0.0}, {"share": 1.0}, {"share": -0.1}),
-        *({"c_out": float("inf")}, {"lowest": float("nan")}, {"sigma": "0.1"}, {"alpha": None}),
-    ],
-    ids=str,
-)
-def test_conditions_that_would_say_nothing_are_refused(ring, change):
-    """With a speed of zero or an empty band a zero on the path would be no obstacle."""
-    with pytest.raises(ConfigurationError, match=next(iter(change))):
-        replace(ring[2].conditions, **change)
 
 
 def test_a_certificate_is_that_of_its_field(ring):
@@ -194,17 +130,17 @@ def test_a_certificate_is_that_of_its_field(ring):
 
 
 def changed_digit(text):
-    """The text with one digit of the alpha that was proved changed."""
-    start = text.rindex('"alpha": ') + len('"alpha": 0.')
+    """The text with one digit of the area that was proved changed."""
+    start = text.rindex('"area_fraction": ') + len('"area_fraction": 0.')
     digit = text[start]
     return text[:start] + str((int(digit) + 1) % 10) + text[start + 1 :]
 
 
-def without_alpha(text):
+def without_walls(text):
     """The text of a certificate that lacks a key, under the right digest."""
     body = json.loads(text)
     head = {name: body.pop(name) for name in ("format", "version", "digest")}
-    del body["alpha"]
+    del body["walls"]
     return json.dumps({**head, "digest": module._digest(body), **body})
 
 
@@ -217,9 +153,9 @@ def without_alpha(text):
         (lambda text: "", "no JSON document"),
         (lambda text: "[1, 2]", "not a certificate"),
         (lambda text: '{"format": "another"}', "not a certificate"),
-        (lambda text: text.replace('"version": 2', '"version": 1'), "version 1, not of 2"),
+        (lambda text: text.replace('"version": 3', '"version": 1'), "version 1, not of 3"),
         (lambda text: json.dumps({**json.loads(text), "more": 1}), "was changed"),
-        (without_alpha, "alpha"),
+        (without_walls, "walls"),
     ],
 )
 def test_a_file_that_is_not_as_it_was_written_is_refused(ring_file, tmp_path, spoil, reason):
@@ -267,20 +203,60 @@ def in_space(tube):
     return replace(tube, sections=tuple(tuple(map(tuple, row)) for row in rows.tolist()))
 
 
-def opened(tube):
-    return replace(tube, closed=False)
-
-
-@pytest.mark.parametrize("spoil", [moved_off, widened, in_space, opened])
+@pytest.mark.parametrize("spoil", [moved_off, widened, in_space])
 def test_a_tube_that_holds_no_orbit_is_refused(ring, spoil):
     """Under a right digest: what the file says is not what is proved."""
     field, path, certificate = ring
     tubes = tuple(map(spoil, certificate.tubes))
-    found = check(replace(certificate, tubes=tubes), field, path)
+    spoilt = replace(certificate, tubes=tubes, walls=(None,), cells=None)
+    found = check(spoilt, field, path)
     assert not found.certified
     assert found.reason.startswith("what is claimed is not what is proved")
     assert found.tubes == (None,)
     assert found.pieces[0].lap_time_high is None
+
+
+def moved(walls):
+    """The outermost wall on the left moved by a thousandth of the path's extent."""
+    *others, last = walls.left
+    step = round(8e-3 / TICK)
+    return replace(walls, left=(*others, tuple((x + step, y) for x, y in last)))
+
+
+def turned_round(walls):
+    """Left for right: walls that m crosses outward."""
+    return replace(walls, left=walls.right, right=walls.left)
+
+
+def far_out(walls):
+    """With one more pair of walls, so far out that it holds the centre of the ring."""
+    inward, outward = (
+        tuple((round(k * x), round(k * y)) for x, y in side[-1])
+        for k, side in ((-0.1, walls.left), (1.3, walls.right))
+    )
+    return replace(walls, left=(*walls.left, inward), right=(*walls.right, outward))
+
+
+@pytest.mark.parametrize("spoil", [moved, turned_round, far_out])
+def test_walls_that_are_not_those_that_were_proved_are_refused(ring, spoil):
+    field, path, certificate = ring
+    (walls,) = certificate.walls
+    found = check(replace(certificate, walls=(spoil(walls),), levels=None), field, path)
+    assert not found.certified
+    assert found.reason.startswith("what is claimed is not what is proved")
+
+
+def test_a_square_that_is_left_out_is_told(ring):
+    field, path, certificate = ring
+    first, *rest = certificate.cells
+    spoilt = replace(certificate, cells="".join([f"{15 - int(first, 16):x}", *rest]))
+    with pytest.raises(ConfigurationError, match="not the code of a quadtree"):
+        Certificate.from_json(spoilt.to_json())
+    # Coarser squares prove less.
+    coarse = replace(certificate, cells=Cells.first().code)
+    found = check(coarse, field, path)
+    assert not found.certified
+    assert found.area_fraction < 0.5
 
 
 def test_the_orbit_is_in_its_tube_and_laps_in_time(ring):

@@ -1,25 +1,30 @@
-"""C1 and C2 on trained fields: what is proved is so, and what is refuted is not."""
+"""C1 and C2 on levels of V: what is proved is so, and what is refuted is not."""
 
 from dataclasses import replace
 
 from flint import arb
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from sgvf_drake.certificate.boxes import Answer, Boxes, divide
-from sgvf_drake.certificate.conditions import (
+from sgvf_drake.certificate.levels import (
     HIGH,
     LOW,
     MARGIN,
     RATE,
     SPEED,
+    Conditions,
     Decrease,
     Rates,
     Speed,
+    prove_levels,
 )
 from sgvf_drake.certificate.mixture_model import MixtureModel
+from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import GaussianMixture, PaperComposition, Perceptron
 from sgvf_drake.lyapunov import LyapunovFunction
+from sgvf_drake.metrics import grid_starts
 
 from .ball_fields import BallField
 from .balls import divided, dot, mixture_at
@@ -162,3 +167,91 @@ def test_what_cannot_be_decided_is_kept():
     assert found.undecided.half[0] == 2.0**-6
     area = (4 * found.boxes.half**2).sum() + (4 * found.undecided.half**2).sum()
     assert area == 4.0
+
+
+def function_of(field, levels):
+    return LyapunovFunction(GaussianMixture(field.mixture.points, levels.sigma))
+
+
+def test_robots_enter_the_tube_in_time_and_stay(ring):
+    field, _, certificate = ring
+    proved = certificate.levels
+    V = function_of(field, proved)
+    c_in, c_out = proved.conditions.c_in, proved.conditions.c_out
+    starts = grid_starts(field.cloud.box, 400, 2)
+    level = V(starts)
+    starts = starts[(level <= c_out) & (level > c_in)][::8]
+    assert len(starts) > 10
+    times = np.linspace(0, 3 * proved.entry_time_bound, 200)
+    for start in starts:
+        found = solve_ivp(lambda _, x: field(x), times[[0, -1]], start, t_eval=times, rtol=1e-8)
+        levels = V(found.y.T)
+        assert (np.diff(levels[levels > c_in]) < 0).all()
+        assert (levels[times >= proved.entry_time_bound] <= c_in).all()
+
+
+def test_levels_tolerate_what_is_said_and_steps_may_be_so_long(ring):
+    field, path, certificate = ring
+    proved = certificate.levels
+    V = function_of(field, proved)
+    x = np.random.default_rng(0).uniform(*field.cloud.box, (40_000, 2))
+    level, gradient = V.value_and_gradient(x)
+    # Squares that lie in the band, which is less than the band.
+    band = ((proved.conditions.c_in <= level) & (level <= proved.conditions.c_out)).mean()
+    assert 0.8 * band < proved.decrease_fraction < band
+    tube = path.project(x[level <= proved.conditions.c_in]).distance.max()
+    assert tube < proved.tube_half_width < tube + 0.5 * field.sigma * field.cloud.unit_length
+    inside = (level >= proved.levels[0]) & (level < proved.levels[-1])
+    x, level, gradient = x[inside], level[inside], gradient[inside]
+    m = field(x)
+    inward = -(gradient * m).sum(axis=1) / np.linalg.norm(gradient, axis=1)
+    claimed = np.array(proved.e_star)[np.searchsorted(proved.levels, level) - 1]
+    assert (inward >= claimed).all()
+    assert (V(x + 0.999 * proved.step_bound * m) < level).all()
+
+
+def test_the_unit_of_the_waypoints_does_not_matter(make_ring, ring):
+    own = ring[2].levels
+    found = prove_levels(
+        *[make_ring(4.0, scale=1000.0)[0], own.conditions], ring[1].rescaled(1e3)
+    )
+    for name in ("sigma", "tube_half_width", "entry_time_bound", "step_bound"):
+        assert getattr(found.levels, name) == pytest.approx(1000 * getattr(own, name), rel=1e-6)
+    assert found.levels.alpha == pytest.approx(own.alpha / 1000, rel=1e-6)
+    np.testing.assert_allclose(found.levels.e_star, own.e_star, rtol=1e-6)
+
+
+def test_what_is_not_so_is_told_with_a_place(ring):
+    field, path, certificate = ring
+    conditions = certificate.levels.conditions
+    V = function_of(field, certificate.levels)
+    for change, what in (({"alpha": 5.0}, "V falls"), ({"delta": 1.5}, "m is nowhere zero")):
+        found = prove_levels(field, replace(conditions, **change), path)
+        assert found.levels is None
+        assert what in found.reason
+        x = field.cloud.denormalize(found.obstacle[None])
+        if "alpha" in change:
+            unit = field.cloud.unit_length
+            assert (V.gradient(x) * field(x)).sum() * unit > -5.0
+            assert conditions.c_in <= V(x)[0] <= conditions.c_out
+        else:
+            assert np.linalg.norm(field(x)) < 1.5
+    everything = replace(conditions, c_out=1e3)
+    assert "not a set in the square" in prove_levels(field, everything, path).reason
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        *({"alpha": 0.0}, {"alpha": -5.0}, {"delta": 0.0}, {"sigma": 0.0}, {"c_in": 0.0}),
+        *({"c_out": 0.0}, {"share": 1.0}, {"share": -0.1}),
+        *({"c_out": float("inf")}, {"lowest": float("nan")}, {"sigma": "0.1"}, {"alpha": None}),
+    ],
+    ids=str,
+)
+def test_conditions_that_would_say_nothing_are_refused(ring, change):
+    """With a speed of zero or an empty band a zero on the path would be no obstacle."""
+    conditions = ring[2].levels.conditions
+    assert isinstance(conditions, Conditions)
+    with pytest.raises(ConfigurationError, match=next(iter(change))):
+        replace(conditions, **change)
