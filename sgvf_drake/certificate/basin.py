@@ -25,7 +25,7 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components
 
 from sgvf_drake.arrays import BoolArray, FloatArray, IntArray
 from sgvf_drake.certificate.boxes import Boxes
-from sgvf_drake.certificate.cells import DEPTH, SIDES, UNIT, Cells
+from sgvf_drake.certificate.cells import SIDES, UNIT, Cells
 from sgvf_drake.certificate.field_model import direction_dual, direction_model, has_dual
 from sgvf_drake.certificate.kernels import SLACK
 from sgvf_drake.certificate.walls import Walls
@@ -37,11 +37,10 @@ ANGLES = np.linspace(0, 2 * np.pi, 32, endpoint=False)
 DIRECTIONS = np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1)
 # Squares that are asked about at once.
 CHUNK = 1000
-# Excluded sets are divided until they are no larger than this part of the box.
-ENOUGH = 0.005
-# As where a piece has no walls: around what attracts robots, no division is of use.
-MOST_AT_ONCE = 30_000
-
+# Squares are divided until robots come from all of the box but such a part: first those where
+# they may stay, until these are so few, then what leads there; and no more than so many at once.
+ENOUGH, FEW, MOST_AT_ONCE = 0.01, 0.005, 15_000
+ROUNDS = 10
 # Squares on walls are divided to this part of the distance between them.
 FIT = 0.25
 
@@ -192,18 +191,26 @@ def find_basin(
     """
     known = _Known.of(field, _around(walls), walls)
     evaluated = known.evaluated
-    for round_number in range(DEPTH + 1):
-        progress("cells", round_number, DEPTH)
+    for number in range(ROUNDS):
+        progress("cells", number, ROUNDS)
         graph = _graph(known)
-        divisible = graph.stays & (known.cells.size > 1)
-        enough = _part_of_box(field, known.cells, graph.stays) <= ENOUGH
-        if enough or not 0 < 4 * divisible.sum() <= MOST_AT_ONCE:
+        divisible = _to_divide(field, known.cells, graph)
+        if not 0 < divisible.sum() <= MOST_AT_ONCE:
             break
         parts = _Known.of(field, known.cells[divisible].quarters(), walls)
         evaluated += parts.evaluated
         known = known.without(divisible).joined(parts)
-    progress("cells", DEPTH, DEPTH)
+    progress("cells", ROUNDS, ROUNDS)
     return replace(_basin(field, known.cells, graph), evaluated=evaluated)
+
+
+def _to_divide(field: GuidingField, cells: Cells, graph: _Graph) -> BoolArray:
+    """Tells which squares (n,) to divide."""
+    lost = ~graph.goal & graph.leads_to(graph.stays | graph.out)
+    if _part_of_box(field, cells, lost) <= ENOUGH:
+        return np.zeros(len(cells), bool)
+    few = _part_of_box(field, cells, graph.stays) <= FEW
+    return (lost if few else graph.stays) & (cells.size > 1)
 
 
 def prove_basin(field: GuidingField, cells: Cells, walls: Sequence[Walls]) -> Basin:
