@@ -37,10 +37,12 @@ ANGLES = np.linspace(0, 2 * np.pi, 32, endpoint=False)
 DIRECTIONS = np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1)
 # Squares that are asked about at once.
 CHUNK = 1000
-# Squares are divided until robots come from all of the box but such a part: first those where
-# they may stay, until these are so few, then what leads there; and no more than so many at once.
-ENOUGH, FEW, MOST_AT_ONCE = 0.01, 0.005, 15_000
-ROUNDS = 10
+# Sets in which robots may stay are divided as a whole while they are more than this part of the
+# box, and then where div m > 0 is not known; no more squares than so many at once.
+FEW, MOST_AT_ONCE = 0.03, 15_000
+# What leads there is divided while robots are proved to come from so much more of the box.
+GAIN = 0.005
+ROUNDS = 12
 # Squares on walls are divided to this part of the distance between them.
 FIT = 0.25
 
@@ -189,12 +191,16 @@ def find_basin(
         walls: Walls that are proved.
         progress: Told how far it is.
     """
-    known = _Known.of(field, _around(walls), walls)
+    known, lost = _Known.of(field, _around(walls), walls), 1.0
     evaluated = known.evaluated
     for number in range(ROUNDS):
         progress("cells", number, ROUNDS)
         graph = _graph(known)
-        divisible = _to_divide(field, known.cells, graph)
+        divisible = _staying(field, known.cells, graph)
+        if not divisible.any():
+            before, leads = lost, ~graph.goal & graph.leads_to(graph.stays | graph.out)
+            lost = _part_of_box(field, known.cells, leads)
+            divisible = leads & (known.cells.size > 1) & (before - lost > GAIN)
         if not 0 < divisible.sum() <= MOST_AT_ONCE:
             break
         parts = _Known.of(field, known.cells[divisible].quarters(), walls)
@@ -204,13 +210,12 @@ def find_basin(
     return replace(_basin(field, known.cells, graph), evaluated=evaluated)
 
 
-def _to_divide(field: GuidingField, cells: Cells, graph: _Graph) -> BoolArray:
-    """Tells which squares (n,) to divide."""
-    lost = ~graph.goal & graph.leads_to(graph.stays | graph.out)
-    if _part_of_box(field, cells, lost) <= ENOUGH:
-        return np.zeros(len(cells), bool)
-    few = _part_of_box(field, cells, graph.stays) <= FEW
-    return (lost if few else graph.stays) & (cells.size > 1)
+def _staying(field: GuidingField, cells: Cells, graph: _Graph) -> BoolArray:
+    """Tells which squares (n,) to divide of those where robots may stay."""
+    found = graph.stays & (cells.size > 1)
+    if _part_of_box(field, cells, found) <= FEW:
+        found[found] = ~_grows(field, cells[found].boxes)
+    return found
 
 
 def prove_basin(field: GuidingField, cells: Cells, walls: Sequence[Walls]) -> Basin:

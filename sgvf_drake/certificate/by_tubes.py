@@ -7,6 +7,7 @@ divided into squares from which robots come between walls, or may not.
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+import math
 
 import numpy as np
 
@@ -74,12 +75,20 @@ def prove_by_tubes(
         return certificate
     return replace(
         certificate,
-        reason=f"robots from {basin.area:.1%} of the box come to a tube, and follow its piece",
+        reason=(
+            f"robots from {_floor(basin.area)} of the box, and almost all robots from "
+            f"{_floor(basin.almost)}, come to a tube and follow its piece"
+        ),
         cells=basin.cells.code,
         area_fraction=basin.area,
         almost_fraction=basin.almost,
         excluded=basin.excluded,
     )
+
+
+def _floor(part: float) -> str:
+    """Returns a part in per cent, never more than it is."""
+    return f"{math.floor(1e3 * part) / 10:.1f} %"
 
 
 def _follows(found: FoundTube, piece: Piece) -> bool:

@@ -93,6 +93,16 @@ def test_a_certificate_is_written_and_read(ring, tmp_path):
     assert Certificate.load(file) == certificate
 
 
+def test_a_field_that_settles_beside_the_path_is_certified_for_where_it_settles(ring):
+    """By .3 U, as networks from elsewhere may: the certificate tells how far that is."""
+    field, path, _ = ring
+    beside = path.rescaled(1 - 0.3 / 4)
+    found = certify(field, beside)
+    assert found.certified, found.reason
+    assert 0.3 < found.orbit_half_width < 0.32 + found.pieces[0].tube_half_width
+    assert found.area_fraction > 0.95
+
+
 def larger(piece, name, factor):
     return replace(piece, **{name: tuple(factor * x for x in getattr(piece, name))})
 

@@ -151,3 +151,16 @@ def test_quarters_cover_their_square_exactly():
     assert set(boxes.half) == {0.125}
     grid = np.arange(-4, 4, 0.25)
     assert sorted(map(tuple, low.tolist())) == [(x, y) for x in grid for y in grid]
+
+
+@settings(max_examples=80)
+@given(seed=seeds, scale=scales, k=st.integers(1, 3))
+def test_faces(seed, scale, k):
+    rng = np.random.default_rng(seed)
+    whole = random_model(rng, scale, k)
+    parameter, side = int(rng.integers(k)), int(rng.choice([-1, 1]))
+    face = whole.at_end(parameter, side)
+    for v in steps(rng, k - 1):
+        u = np.insert(v, parameter, side)
+        for column, value in enumerate(stands_for(whole, rng, u)):
+            assert_holds(face, column, v, value)
