@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from sgvf_drake.arrays import BoolArray, FloatArray
+from sgvf_drake.arrays import BoolArray, FloatArray, IntArray
 from sgvf_drake.certificate.boxes import Boxes
 from sgvf_drake.certificate.field_model import BoundedField, model_field
 from sgvf_drake.certificate.kernels import SLACK, check_rounding
@@ -106,6 +106,12 @@ class Walls:
             winds -= side * turns
             apart &= ~met
         return apart & (winds > 0), apart & (winds <= 0)
+
+    def count_around(self, points: FloatArray) -> IntArray:
+        """Returns how many pairs hold each of normalised points (n, 2), from the outermost."""
+        boxes = Boxes.points(points)
+        held = [self[:pair].hold(boxes)[0] for pair in range(1, len(self) + 1)]
+        return np.asarray(np.sum(held, axis=0))
 
     def half_widths(self, tube: Tube) -> list[float]:
         """Returns how far the vertices of each pair are from the tube's middle, at most."""

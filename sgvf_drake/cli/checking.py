@@ -122,6 +122,9 @@ def certify(
         Path | None,
         typer.Option("--check", help="A certificate to prove anew, without a search."),
     ] = None,
+    levels: Annotated[
+        bool, typer.Option("--levels", help="Prove levels of V too, of closed paths.")
+    ] = False,
     speed: Annotated[
         float | None,
         typer.Option(help="Certify the field as sgvf fly flies it at this speed, m/s."),
@@ -142,15 +145,18 @@ def certify(
         run_certify,
     )
 
+    if levels and claimed is not None:
+        raise ConfigurationError("--check proves what the certificate holds, not --levels")
     loaded = open_guiding_field(field)
     if speed is not None:
         loaded = as_flown(loaded, speed, scale)
     path = choose_reference(loaded, reference, columns_of(columns, reference, "--reference"))
     print_messages(path[0].messages)
     certificate = None if claimed is None else Certificate.load(claimed)
+    options: dict[str, Any] = {"claimed": certificate, "levels": levels}
     with progress() as report:
         summary = run_certify(
-            loaded, path, out, claimed=certificate, overwrite=overwrite, progress=report
+            loaded, path, out, **options, overwrite=overwrite, progress=report
         )
     _print_certificate(summary)
     print_folder(out)
@@ -162,27 +168,49 @@ def _print_certificate(summary: Mapping[str, Any]) -> None:
     """Prints the summary of a certificate."""
     U = summary["unit_length"]
     rows = {"certified": "yes" if summary["certified"] else "NO", "because": summary["reason"]}
-    if summary["c_in"] is not None:
-        rows["band of V"] = f"{summary['c_in']:.3g} to {summary['c_out']:.3g}"
-    if summary["sigma"] is not None:
+    if summary["area_fraction"] is not None:
+        rows["robots from"] = (
+            f"{summary['area_fraction']:.1%} of the box, almost all from "
+            f"{summary['almost_fraction']:.1%}"
+        )
+    walls = [_walls(piece, U) for piece in summary["pieces"] if piece["e_star"]]
+    if walls:
         rows |= {
-            "sigma of V": f"{summary['sigma'] / U:.3g} U",
-            "tube, basin": (
-                f"half-width at most {summary['tube_half_width'] / U:.3g} U, "
-                f"at least {summary['area_fraction']:.0%} of the box"
-            ),
-            "V falls, |m|": (
-                f"by {summary['alpha'] * U:.3g} in each U, at least {summary['delta']:.3g}"
-            ),
+            "walls": "; ".join(walls),
             "time to the tube": f"at most that for {summary['entry_time_bound'] / U:.3g} U",
-            "tolerated disturbance": f"up to {summary['e_star_max']:.3g} of the speed",
         }
     if summary["pieces"]:
         rows["orbits"] = ", ".join(_orbit(piece, U) for piece in summary["pieces"])
     if summary["orbit_half_width"] is not None:
         rows["thin tubes"] = f"at most {summary['orbit_half_width'] / U:.3g} U from the path"
+    if summary["c_in"] is not None:
+        rows |= _levels(summary)
     rows["squares, time"] = f"{summary['boxes']}, {summary['cpu_s']:.1f} s CPU"
     print_table("Certificate", rows)
+
+
+def _walls(piece: Mapping[str, Any], U: float) -> str:
+    widths = [width / U for width in piece["wall_half_widths"]]
+    return (
+        f"{len(widths)} pairs, {widths[0]:.2g} to {widths[-1]:.2g} U from the orbit, tolerate "
+        f"up to {max(piece['e_star']):.3g} of the speed"
+    )
+
+
+def _levels(summary: Mapping[str, Any]) -> dict[str, str]:
+    """Returns the rows of what is proved of levels of V."""
+    U, e_star = summary["unit_length"], summary["e_star"]["e_star"]
+    return {
+        "V falls from, to": (
+            f"{summary['c_out']:.3g}, {summary['c_in']:.3g}, by {summary['alpha'] * U:.3g} in "
+            f"each U; sigma {summary['sigma'] / U:.3g} U"
+        ),
+        "tube of V": (
+            f"half-width at most {summary['tube_half_width'] / U:.3g} U, "
+            f"|m| at least {summary['delta']:.3g}"
+        ),
+        "levels tolerate": f"{min(e_star):.3g} to {max(e_star):.3g} of the speed",
+    }
 
 
 def _orbit(piece: Mapping[str, Any], U: float) -> str:

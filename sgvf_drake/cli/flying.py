@@ -182,13 +182,13 @@ def fly(
     tube: Annotated[
         Path | None,
         typer.Option(
-            help="Results of sgvf verify or certify, whose tube --html and --meshcat show."
+            help="Results of sgvf verify or certify: --html and --meshcat show tube or walls."
         ),
     ] = None,
     certificate: Annotated[
         Path | None,
         typer.Option(
-            help="Results of sgvf certify: is the velocity error inside of the proved margin?"
+            help="Results of sgvf certify: do the proved walls tolerate the velocity error?"
         ),
     ] = None,
     reference: ReferenceFile = None,

@@ -110,8 +110,8 @@ def _print_flights(summary: Mapping[str, Any]) -> None:
     }
     if "certificate" in summary:
         proved = summary["certificate"]
-        rows["stayed in the proved tube"] = (
-            f"{proved['stayed_in_tube']} of {proved['came_into_tube']} that came into it"
+        rows["inside of what is proved"] = (
+            f"{proved['inside_margin']} of {proved['came_between_walls']} that came to walls"
         )
     print_table("Monte Carlo", rows)
 

@@ -147,13 +147,13 @@ def _feasibility(summary: Mapping[str, Any]) -> str:
 def _margin(found: Mapping[str, Any]) -> str:
     """Returns what a certificate says of flights, in words."""
     if found["error_max"] is None:
-        return "velocity error: NOT inside of the certified margin; not every flight settled"
-    verdict = "inside of" if found["inside_margin"] else "NOT inside of"
-    level = found["covering_level"]
-    covered = "no level of the band" if level is None else f"the level V = {level:.3g}"
+        return "velocity error: NOT inside of what is proved; not every flight came to walls"
+    error = f"velocity error, between walls: up to {found['error_max']:.3g} of the speed"
+    if not found["inside_margin"]:
+        return f"{error}, NOT inside of what is proved; no walls that were entered tolerate it"
+    width = found["covering_half_width"]
     return (
-        f"velocity error, in the tube: up to {found['error_max']:.3g} of the speed, {verdict} "
-        f"the margin {found['e_star_tube']:.3g} of its border; {covered} tolerates it"
+        f"{error}, inside of what is proved: walls within {width:.3g} m of the orbits hold it"
     )
 
 

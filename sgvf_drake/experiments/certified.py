@@ -1,14 +1,12 @@
-"""A field with its certificate: the levels of V where a vehicle is, and what they tolerate."""
+"""A field with its certificate: the walls that hold a vehicle, and what they tolerate."""
 
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from sgvf_drake.arrays import FloatArray
-from sgvf_drake.certificate import Certificate, Conditions
-from sgvf_drake.certificate.boxes import Boxes
-from sgvf_drake.certificate.mixture_model import MixtureModel, mixture_of
+from sgvf_drake.arrays import FloatArray, IntArray
+from sgvf_drake.certificate import Certificate
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import GuidingField
 from sgvf_drake.fields.storage import field_digest
@@ -16,8 +14,6 @@ from systems import FieldForSpeed
 
 CERTIFICATE = "certificate.json"
 CERTIFICATE_FIGURE = "certificate.png"
-# Points whose V is bounded at a time.
-CHUNK = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +22,7 @@ class CertifiedField:
 
     Attributes:
         field: In the unit of its waypoints; that of the certificate.
-        certificate: Proves C1 on a band.
+        certificate: Proves walls around a piece or more.
         scale: Metres in one unit of the waypoints, where it is flown.
     """
 
@@ -48,14 +44,14 @@ class CertifiedField:
 
         Raises:
             ConfigurationError: If there is no certificate, if it is damaged or of another
-                field, or if it proves nothing.
+                field, or if it proves no walls.
         """
         file = certificate_file(path)
         if file is None:
             raise ConfigurationError(f"there is no certificate in {path}")
         found = Certificate.load(file)
-        if not found.levels:
-            raise ConfigurationError(f"{file} proves nothing of levels of V: {found.reason}")
+        if not any(found.walls):
+            raise ConfigurationError(f"{file} proves nothing of walls: {found.reason}")
         for one in (field, as_flown(field, speed, scale)):
             if field_digest(one) == found.field_digest:
                 return cls(one, found, scale)
@@ -64,35 +60,37 @@ class CertifiedField:
             f"is flown at {speed:g} m/s"
         )
 
-    @property
-    def conditions(self) -> Conditions:
-        """What is proved of the band of V; a certificate that proves something has them."""
-        assert self.certificate.conditions is not None
-        return self.certificate.conditions
+    def pairs_around(self, x: FloatArray) -> IntArray:
+        """Returns how many pairs of walls hold points, (n, pieces), from the outermost.
 
-    def V(self, x: FloatArray) -> FloatArray:  # noqa: N802
-        """Returns V at most, (n,), at points (n, 2) in the unit of the waypoints."""
-        sigma, lowest = self.conditions.sigma, self.conditions.lowest
-        levels = MixtureModel(mixture_of(self.field, sigma), lowest)
-        z = self.field.cloud.normalize(x)
-        parts = np.array_split(z, len(z) // CHUNK + 1)
-        return np.concatenate([levels.level_range(Boxes.points(part))[1] for part in parts])
+        Only the walls of one piece hold a point.
 
-    def e_star(self, V: FloatArray) -> FloatArray:
-        """Returns what the levels of V tolerate, (n,), as a part of the speed.
-
-        Below c_in, where nothing is proved of a level, it is that of the border of the tube;
-        above c_out, where nothing is proved at all, it is zero.
+        Args:
+            x: (n, 2) in the unit of the waypoints.
         """
-        levels = np.array(self.certificate.levels)
-        e_star = np.array(self.certificate.e_star)
-        number = np.searchsorted(levels, V, side="right") - 1
-        return np.where(levels[-1] >= V, e_star[np.clip(number, 0, len(e_star) - 1)], 0.0)
+        z, none = self.field.cloud.normalize(x), np.zeros(len(x), int)
+        return np.column_stack(
+            [walls.count_around(z) if walls else none for walls in self.certificate.walls]
+        )
+
+    def e_star(self, pairs: IntArray) -> FloatArray:
+        """Returns what the innermost walls that hold a point tolerate, of the speed, (n,).
+
+        Where none do, nothing is proved, and it is zero.
+
+        Args:
+            pairs: (n, pieces) from `pairs_around`.
+        """
+        margins = [
+            np.array([0.0, *piece.e_star[::-1]])[held]
+            for piece, held in zip(self.certificate.pieces, pairs.T, strict=True)
+        ]
+        return np.asarray(np.max(margins, axis=0))
 
     def error_and_margin(
         self, position: FloatArray, velocity: FloatArray, speed: float
     ) -> tuple[float, float]:
-        """Returns the velocity error of a vehicle and what its level tolerates, of the speed.
+        """Returns the velocity error of a vehicle and what its walls tolerate, of the speed.
 
         The error is infinite for a vehicle that is to stand still.
 
@@ -103,7 +101,7 @@ class CertifiedField:
         """
         x = position[None] / self.scale
         error = float(np.linalg.norm(velocity - speed * self.field(x)[0]))
-        margin = float(self.e_star(self.V(x))[0])
+        margin = float(self.e_star(self.pairs_around(x))[0])
         return error / speed if speed > 0.0 else np.inf, margin
 
 

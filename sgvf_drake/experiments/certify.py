@@ -2,10 +2,10 @@
 
 from dataclasses import asdict
 from os import PathLike
-import time
 from typing import Any
 
 from sgvf_drake.certificate import Certificate, certify, check
+from sgvf_drake.compiling import timed
 from sgvf_drake.experiments.certified import CERTIFICATE, CERTIFICATE_FIGURE
 from sgvf_drake.experiments.figures.certificate import certificate_figure
 from sgvf_drake.experiments.reference import choose_reference
@@ -21,6 +21,10 @@ from sgvf_drake.paths import ReferencePath
 from sgvf_drake.progress import Progress, no_progress
 
 CERTIFY_FILES = (SUMMARY, CERTIFICATE, CERTIFICATE_FIGURE)
+# Of a certificate's levels, by their names in the summary.
+OF_LEVELS = (
+    *("sigma", "alpha", "delta", "tube_half_width", "decrease_fraction", "step_bound"),
+)
 
 
 def run_certify(
@@ -29,32 +33,33 @@ def run_certify(
     out: str | PathLike[str],
     *,
     claimed: Certificate | None = None,
+    levels: bool = False,
     overwrite: bool = False,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
     """Certifies a field; leaves the certificate, its figure and the summary.
 
-    A `claimed` certificate of the field is proved anew; without one, one is searched for.
+    A `claimed` certificate of the field is proved anew; without one, one is searched for, with
+    `levels` of V too.  The time that it takes is told without that of compiling.
 
     Raises:
         ConfigurationError: Nothing bounds the field, or what is claimed is claimed of another
             field.
     """
     path, kind = reference or choose_reference(field)
-    begin, cpu = time.perf_counter(), time.process_time()
     with result_folder(out, CERTIFY_FILES, overwrite=overwrite) as folder:
-        if claimed is None:
-            found = certify(field, path, progress=progress)
-        else:
-            found = check(claimed, field, path)
-        elapsed, cpu_time = time.perf_counter() - begin, time.process_time() - cpu
+        with timed() as watch:
+            if claimed is None:
+                found = certify(field, path, levels=levels, progress=progress)
+            else:
+                found = check(claimed, field, path)
         found.save(folder / CERTIFICATE)
         save_figure(certificate_figure(field, found), folder / CERTIFICATE_FIGURE)
         summary = {
             **certificate_summary(found),
             "checked": claimed is not None,
-            "time_s": elapsed,
-            "cpu_s": cpu_time,
+            "time_s": watch.wall_s,
+            "cpu_s": watch.cpu_s,
             "unit_length": field.cloud.unit_length,
             "reference": kind,
             **origin(field),
@@ -65,26 +70,22 @@ def run_certify(
 
 def certificate_summary(found: Certificate) -> dict[str, Any]:
     """Returns what was proved, by the names of `summary.json`."""
-    conditions = found.conditions
+    levels = found.levels
     return {
         "certified": found.certified,
         "reason": found.reason,
         "method": "proved",
-        "sigma": found.sigma,
-        "c_in": conditions and conditions.c_in,
-        "c_out": conditions and conditions.c_out,
-        "alpha": found.alpha,
-        "delta": found.delta,
-        "tube_half_width": found.tube_half_width,
-        "orbit_half_width": found.orbit_half_width,
         "area_fraction": found.area_fraction,
-        "decrease_fraction": found.decrease_fraction,
-        "boxes": found.boxes,
-        "undecided": found.undecided,
+        "almost_fraction": found.almost_fraction,
+        "excluded": [asdict(one) for one in found.excluded],
         "entry_time_bound": found.entry_time_bound,
         "e_star_max": found.e_star_max,
-        "e_star": {"levels": found.levels, "e_star": found.e_star},
-        "step_bound": found.step_bound,
-        "counterexample": found.counterexample,
+        "orbit_half_width": found.orbit_half_width,
         "pieces": [asdict(piece) for piece in found.pieces],
+        "counterexample": found.counterexample,
+        "boxes": found.boxes,
+        **{name: getattr(levels, name, None) for name in OF_LEVELS},
+        "c_in": levels and levels.conditions.c_in,
+        "c_out": levels and levels.conditions.c_out,
+        "e_star": levels and {"levels": levels.levels, "e_star": levels.e_star},
     }

@@ -89,7 +89,7 @@ MEASURED = (
     *("reached_s", "cross_track_rms_m", "cross_track_max_m"),
     *("end_time", "end_x", "end_y", "end_z"),
 )
-PROVED = ("stayed_in_tube", "inside_margin", "stayed_in_certified_set")
+PROVED = ("stayed_between_walls", "inside_margin")
 
 TABLE, FIGURE, DISTRIBUTIONS = "flights.parquet", "montecarlo.png", "distributions.yaml"
 FILES = (SUMMARY, TABLE, FIGURE, DISTRIBUTIONS)
@@ -384,7 +384,7 @@ def _judged(log: pd.DataFrame, site: _Site, speed: float) -> Row:
 
 
 def _proved(log: pd.DataFrame | None, certified: CertifiedField, flight: PlannedFlight) -> Row:
-    """Says whether a flight stayed inside what is proved; None: it never came into it."""
+    """Says whether a flight stayed inside what is proved; None: it never came between walls."""
     if log is None:
         return dict.fromkeys(PROVED)
     flown = PieceFlight(flight.piece, log, {})
@@ -481,7 +481,7 @@ def summary_of(table: pd.DataFrame) -> dict[str, Any]:
     if PROVED[0] in table:
         came = table[table[PROVED[0]].notna()]
         counts = {name: int(came[name].sum()) for name in PROVED}
-        summary["certificate"] = {"came_into_tube": len(came), **counts}
+        summary["certificate"] = {"came_between_walls": len(came), **counts}
     return summary
 
 

@@ -42,7 +42,7 @@ class FlightScene:
             nothing is recorded.
         live: Whether flights keep the pace of the clock, for somebody who watches, and can be
             changed by sliders.
-        tube: The border of the tube where one is known, polylines (k, 2) in m.
+        tube: The border of the tube, or walls, where they are known, polylines (k, 2) in m.
         certified: What a certificate proves of the field, which the velocity error is shown
             against; None: nothing.
     """
@@ -136,7 +136,7 @@ class View:
     Attributes:
         pages: Whether each flight leaves a page with its recording.
         meshcat: Where to watch it live; None: nowhere.
-        tube: The border of the tube where one is known, polylines (k, 2) in m.
+        tube: The border of the tube, or walls, where they are known, polylines (k, 2) in m.
     """
 
     pages: bool = False

@@ -1,4 +1,4 @@
-"""The tube about a path that a verification or a certificate left behind, as curves to draw."""
+"""The tube, or the walls, about a path that a verification or a certificate left, as curves."""
 
 from collections.abc import Sequence
 import json
@@ -27,7 +27,9 @@ TINY = np.finfo(np.float64).tiny
 def tube_curves(
     field: GuidingField, results: str | Path, scale: float = 1.0, speed: float = 0.45
 ) -> Sequence[FloatArray]:
-    """Returns the border of the tube {V <= c_in} as polylines in metres, (k, 2) each.
+    """Returns what borders the set that robots do not leave, polylines in metres, (k, 2) each.
+
+    Of a verification that is the tube {V <= c_in}, of a certificate the outermost walls.
 
     Args:
         field: The planar field, in the unit of its waypoints.
@@ -37,13 +39,15 @@ def tube_curves(
         speed: Of the flight, m/s: a certificate may be that of the field as it is flown.
 
     Raises:
-        ConfigurationError: If there is neither of this field, or if it found no tube.
+        ConfigurationError: If there is neither of this field, or if it found no tube or walls.
     """
     if certificate_file(results) is None:
         return _verified_tube(field, results, scale)
-    certified = CertifiedField.open(field, results, speed, scale)
-    metric, proved = certified.field.rescaled(scale), certified.conditions
-    return level_curves(metric, proved.sigma * metric.cloud.unit_length, proved.c_in)
+    walls = CertifiedField.open(field, results, speed, scale).certificate.walls
+    outermost = [one.polygons(side)[-1] for one in walls if one for side in (1, -1)]
+    return [
+        scale * field.cloud.denormalize(np.concatenate([wall, wall[:1]])) for wall in outermost
+    ]
 
 
 def _verified_tube(

@@ -1,20 +1,20 @@
-"""The velocity error of flights, against what the level sets of V tolerate.
+"""The velocity error of flights, against what level sets of V or walls tolerate.
 
-With the error d = v_WB - speed m(p), V_dot = speed grad V . m + grad V . d, which is negative
-on a level set {V = c} while |d| < speed e*(c), where e*(c) is the smallest inward normal speed
-of m there; then {V <= c} is invariant.  Here e* is what `verify` has sampled (`TrackingResult`)
-or what a certificate proves (`FlightMargin`); the errors are measured, not bounded.
+With the error d = v_WB - speed m(p), a vehicle crosses a curve inward wherever
+|d| < speed e*, with e* the smallest inward normal speed of m on the curve: then it cannot leave
+what the curve bounds.  The curves are level sets of V with the e* that `verify` has sampled
+(`TrackingResult`), or walls with the one that a certificate proves (`FlightMargin`).  The
+errors are measured, not bounded.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 import pandas as pd
 
-from sgvf_drake.arrays import BoolArray, FloatArray
+from sgvf_drake.arrays import BoolArray, FloatArray, IntArray
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments.certified import CertifiedField
 from sgvf_drake.experiments.flight import (
@@ -33,11 +33,8 @@ from sgvf_drake.progress import Progress, no_progress
 from systems import SublevelExit
 
 NOT_COVERED = (
-    "the take-off and the way to the tube: a vehicle that stands is in error by all of its "
-    "speed; they are told apart",
-    "levels below c_in, of which nothing is proved: inside the tube the error is held against "
-    "the margin of the tube's border, c_in",
-    "levels above c_out",
+    "the take-off, in which a vehicle that stands is in error by all of its speed, and the way "
+    "between the outermost walls: both are told apart",
     "what happens between the logged times",
     "altitude and attitude: the certificate speaks of the position in the plane",
     "any other flight: the error is measured, of one simulated vehicle, and not bounded",
@@ -46,13 +43,14 @@ NOT_COVERED = (
 
 @dataclass(frozen=True, eq=False)
 class VelocityErrors:
-    """The velocity errors of one flight over V.
+    """The velocity errors of one flight.
 
     Attributes:
         piece: Number of the piece in the reference.
-        log: As that of the flight, and for each sample V and error, the |v_WB - speed m(p_WB)|
-            over the dimensions of the field, as a part of the speed.
-        settled: Which samples, (T,), are those from the first one in the tube on.
+        log: As that of the flight, and for each sample the error: |v_WB - speed m(p_WB)| over
+            the dimensions of the field, as a part of the speed.
+        settled: Which samples, (T,), are those from the first one in the tube, or between
+            walls, on.
         exit: Where and when the vehicle left the set that it was to stay in, which ended the
             flight; None: it did not, or there was none.
     """
@@ -70,20 +68,8 @@ class VelocityErrors:
             "error_median": settled["error"].median(),
             "error_99_percent": settled["error"].quantile(0.99),
             "error_max": settled["error"].max(),
-            "V_max_settled": settled["V"].max(),
         }
         return {name: None if settled.empty else float(x) for name, x in figures.items()}
-
-    def lowest_covering(self, levels: ArrayLike, e_star: ArrayLike) -> float | None:
-        """Returns the first of rising levels that tolerates the largest settled error.
-
-        None: none does, or the flight never settled.
-        """
-        largest = self.settled_figures()["error_max"]
-        if largest is None:
-            return None
-        covering = np.asarray(levels)[np.asarray(e_star) > largest]
-        return float(covering[0]) if len(covering) else None
 
 
 def velocity_error(
@@ -118,7 +104,7 @@ class TrackingResult:
     """The velocity errors of the flights along all pieces.
 
     Attributes:
-        flights: One a piece.
+        flights: One a piece; their logs tell V, too.
         speed: Commanded speed, m/s.
         c_in: A flight has settled once it is inside {V <= c_in}.
         level: The flights are to stay in {V <= level}.
@@ -161,6 +147,9 @@ class TrackingResult:
             value and self.speed * value
             for value in (figures[f"error_{name}"] for name in ("median", "99_percent", "max"))
         )
+        error, highest = figures["error_max"], flight.log["V"][flight.settled].max()
+        covers = np.asarray(self.margins.e_star) > (np.inf if error is None else error)
+        covering = np.asarray(self.margins.levels)[covers]
         return {
             "piece": flight.piece,
             "settled_s": figures["settled_s"],
@@ -168,10 +157,8 @@ class TrackingResult:
             "tracking_error_99_percent_m_s": high,
             "tracking_error_max_m_s": largest,
             "covered": None if largest is None else largest < self.tolerated,
-            "smallest_covering_level": flight.lowest_covering(
-                self.margins.levels, self.margins.e_star
-            ),
-            "V_max_settled": figures["V_max_settled"],
+            "smallest_covering_level": float(covering[0]) if len(covering) else None,
+            "V_max_settled": None if error is None else float(highest),
             "exit": None if flight.exit is None else str(flight.exit),
         }
 
@@ -236,20 +223,44 @@ def flight_tracking(
 # Against e* that is proved.
 
 
+@dataclass(frozen=True)
+class EnteredWalls:
+    """A pair of walls that a flight came between.
+
+    Attributes:
+        half_width: Largest distance of the walls from the middle of their tube, m.
+        e_star: What they tolerate, as a part of the speed.
+        entered_s: When the flight first was between them, after the take-off.
+        error_max: Its largest error since then, as a part of the speed.
+    """
+
+    half_width: float
+    e_star: float
+    entered_s: float
+    error_max: float
+
+    @property
+    def hold(self) -> bool:
+        """Whether no error since then could take the flight out from between them."""
+        return self.error_max < self.e_star
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FlightMargin(VelocityErrors):
-    """The velocity error of one flight against the margin that a certificate proves.
+    """The velocity error of one flight against the margins that a certificate proves.
 
     The error is that from the certified field.  Where the vehicle flies a wider one
     (`systems.FieldForSpeed`), the difference is a part of the error.
 
     Attributes:
-        certified: What is proved.  The log has two columns more: e_star, what the level of
-            each sample tolerates (zero above c_out), and ratio, the error over it.  The
-            take-off does not count as settled.
+        certified: What is proved.  The log has two columns more: walls, how many pairs hold
+            the vehicle, and e_star, what the innermost of these tolerates (zero beyond all).
+            A flight has settled once it is between walls after the take-off.
+        walls: The pairs that it came between, those of each piece from the tube outwards.
     """
 
     certified: CertifiedField
+    walls: tuple[EnteredWalls, ...]
 
     @property
     def positions(self) -> FloatArray:
@@ -257,47 +268,29 @@ class FlightMargin(VelocityErrors):
         return positions_of(self.log, 2) / self.certified.scale
 
     @property
-    def inside(self) -> bool:
-        """Whether the flight settled, and was inside the margin at every sample since then."""
-        ratio = self.log["ratio"][self.settled]
-        return bool(len(ratio) and (ratio < 1).all())
-
-    @property
-    def covering_level(self) -> float | None:
-        """The lowest level c that tolerates the largest error since the flight settled.
-
-        That {V <= c} is not left under such errors is proved.  None: there is no such level,
-        or the flight never settled.
-        """
-        found, highest = self.certified.certificate, self.settled_figures()["V_max_settled"]
-        # Each margin holds on a closed interval of levels, so at its lower end.
-        levels, e_star = np.array(found.levels[:-1]), np.array(found.e_star)
-        high = levels >= (np.inf if highest is None else highest)
-        return self.lowest_covering(levels[high], e_star[high])
+    def covering_half_width(self) -> float | None:
+        """Half-width of the innermost walls that hold the flight, m; None: none do."""
+        return min((pair.half_width for pair in self.walls if pair.hold), default=None)
 
     def summary(self) -> dict[str, Any]:
         """Returns the figures by plain names; None where the flight never settled.
 
-        Errors are parts of the speed.  `inside_from_s` is the time from which on no error was
-        outside of the margin; None: the last one was.
+        Errors are parts of the speed.  `inside_margin` tells whether some walls hold it: that
+        it cannot leave them under such errors is proved.
         """
-        proved, figures = self.certified.conditions, self.settled_figures()
-        settled, highest = self.log[self.settled], figures["V_max_settled"]
+        settled = self.log["walls"][self.settled]
         return {
             "piece": self.piece,
-            "inside_margin": self.inside,
-            **figures,
-            "worst_ratio": None if highest is None else float(settled["ratio"].max()),
-            "time_outside_s": None if highest is None else self._time_outside(settled),
-            "covering_level": self.covering_level,
-            "stayed_in_tube": None if highest is None else highest <= proved.c_in,
-            "stayed_in_certified_set": bool((self.log["V"] <= proved.c_out).all()),
-            "inside_from_s": self._inside_from(),
+            "inside_margin": self.covering_half_width is not None,
+            **self.settled_figures(),
+            "covering_half_width": self.covering_half_width,
+            "stayed_between_walls": None if settled.empty else bool((settled > 0).all()),
+            "walls": [asdict(pair) for pair in self.walls],
             "way_in": self._way_in(),
         }
 
     def _way_in(self) -> dict[str, Any] | None:
-        """Returns the figures from the take-off to the tube; None: there is no such sample."""
+        """Returns the figures from the take-off to the walls; None: there is no such sample."""
         way = self.log[~self.settled & (self.log["time"] >= TAKE_OFF_S)]
         if way.empty:
             return None
@@ -305,18 +298,7 @@ class FlightMargin(VelocityErrors):
             "begin_s": float(way["time"].iloc[0]),
             "end_s": float(way["time"].iloc[-1]),
             "error_max": float(way["error"].max()),
-            "worst_ratio": float(way["ratio"].max()),
-            "time_outside_s": self._time_outside(way),
         }
-
-    def _inside_from(self) -> float | None:
-        outside = np.flatnonzero(self.log["ratio"] >= 1)
-        first = outside[-1] + 1 if len(outside) else 0
-        return float(self.log["time"].iloc[first]) if first < len(self.log) else None
-
-    def _time_outside(self, samples: pd.DataFrame) -> float:
-        period = float(np.diff(self.log["time"][:2])[0])
-        return float((samples["ratio"] >= 1).sum() * period)
 
 
 def flight_margin(certified: CertifiedField, flight: PieceFlight, speed: float) -> FlightMargin:
@@ -328,33 +310,50 @@ def flight_margin(certified: CertifiedField, flight: PieceFlight, speed: float) 
         speed: Commanded speed, m/s.
     """
     log, scale = flight.log, certified.scale
-    V = certified.V(positions_of(log, 2) / scale)
-    error, e_star = velocity_error(log, certified.field, speed, scale), certified.e_star(V)
-    with np.errstate(divide="ignore"):
-        ratio = error / e_star
-    in_tube = (certified.certificate.levels[0] >= V) & (log["time"].to_numpy() >= TAKE_OFF_S)
+    error = velocity_error(log, certified.field, speed, scale)
+    pairs = certified.pairs_around(positions_of(log, 2) / scale)
+    walls, flying = pairs.sum(axis=1), log["time"].to_numpy() >= TAKE_OFF_S
+    log = log.assign(walls=walls, error=error, e_star=certified.e_star(pairs))
     return FlightMargin(
         flight.piece,
-        log.assign(V=V, error=error, e_star=e_star, ratio=ratio),
-        np.logical_or.accumulate(in_tube),
+        log,
+        np.logical_or.accumulate((walls > 0) & flying),
         certified=certified,
+        walls=tuple(_entered(certified, log[flying], pairs[flying])),
     )
+
+
+def _entered(
+    certified: CertifiedField, log: pd.DataFrame, pairs: IntArray
+) -> Iterator[EnteredWalls]:
+    """Yields the walls that a flight came between, from its log after the take-off."""
+    time, error = log["time"].to_numpy(), log["error"].to_numpy()
+    for piece, held in zip(certified.certificate.pieces, pairs.T, strict=True):
+        half_widths = certified.scale * np.array(piece.wall_half_widths)
+        for number, e_star in enumerate(piece.e_star):
+            inside = held >= len(piece.e_star) - number
+            if inside.any():
+                first = int(np.argmax(inside))
+                yield EnteredWalls(
+                    float(half_widths[number]),
+                    e_star,
+                    float(time[first]),
+                    float(error[first:].max()),
+                )
 
 
 def margin_summary(flights: Sequence[FlightMargin]) -> dict[str, Any]:
     """Returns the worst of flights against one certificate, and what none of them covers."""
-    found, proved = flights[0].certified.certificate, flights[0].certified.conditions
+    found = flights[0].certified.certificate
     pieces = [flight.summary() for flight in flights]
-    worst = ("error_max", "worst_ratio", "time_outside_s", "covering_level")
-    every = ("inside_margin", "stayed_in_tube", "stayed_in_certified_set")
     return {
-        **{name: all(piece[name] for piece in pieces) for name in every},
-        **{name: worst_of(pieces, name) for name in worst},
+        **{
+            name: all(piece[name] for piece in pieces)
+            for name in ("inside_margin", "stayed_between_walls")
+        },
+        **{name: worst_of(pieces, name) for name in ("error_max", "covering_half_width")},
         "certified": found.certified,
         "field_digest": found.field_digest,
-        "c_in": proved.c_in,
-        "c_out": proved.c_out,
-        "e_star_tube": found.e_star[0],
         "e_star_max": found.e_star_max,
         "what_it_does_not_cover": list(NOT_COVERED),
         "pieces": pieces,

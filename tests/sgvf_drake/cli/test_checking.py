@@ -89,10 +89,14 @@ def test_a_planted_sink_is_named_with_its_place(run, fields, tmp_path, capsys):
 
 # certify
 
+OF_LEVELS = (
+    *("sigma", "c_in", "c_out", "alpha", "delta", "tube_half_width"),
+    *("decrease_fraction", "step_bound", "e_star"),
+)
 KEYS = {
-    *("certified", "reason", "sigma", "c_in", "c_out", "alpha", "delta", "tube_half_width"),
-    *("area_fraction", "decrease_fraction", "boxes", "time_s", "entry_time_bound"),
-    *("e_star_max", "counterexample", "pieces"),
+    *("certified", "reason", "area_fraction", "almost_fraction", "excluded", "boxes", "time_s"),
+    *("entry_time_bound", "e_star_max", "orbit_half_width", "counterexample", "pieces"),
+    *OF_LEVELS,
 }
 
 
@@ -101,17 +105,39 @@ def test_a_certificate_is_proved_anew(run, fields, tmp_path, capsys):
     assert (
         run("certify", fields / "ring.safetensors", "--check", CERTIFICATE, "--out", out) == 0
     )
-    assert "certified yes" in words_of(capsys.readouterr().out)
+    words = words_of(capsys.readouterr().out)
+    assert "certified yes" in words
+    assert "robots from 99" in words
     assert names_in(out) == {"summary.json", "certificate.json", "certificate.png"}
     summary, stored = summary_of(out), Certificate.load(CERTIFICATE)
     assert set(summary) >= KEYS
     assert (summary["certified"], summary["checked"]) == (True, True)
     (piece,) = summary["pieces"]
-    assert piece["holes"] == 1
     assert piece["orbit_exists"] is True
     assert piece["lap_time_low"] < 8 * np.pi < piece["lap_time_high"]
-    assert summary["alpha"] == pytest.approx(stored.alpha, rel=1e-9)
+    assert summary["area_fraction"] == pytest.approx(stored.area_fraction, rel=1e-9)
+    assert summary["e_star_max"] == max(piece["e_star"]) > 0.5
+    assert summary["entry_time_bound"] == piece["entry_times"][-1]
+    assert f"walls {len(piece['e_star'])} pairs, " in words
+    assert f"tolerate up to {summary['e_star_max']:.3g} of the speed" in words
     assert Certificate.load(out / "certificate.json").is_as_strong_as(stored)
+
+
+def test_levels_are_proved_on_request(run, fields, tmp_path, capsys):
+    ring = ("certify", fields / "ring.safetensors", "--overwrite", "--out", tmp_path)
+    assert run(*ring) == 0
+    assert "levels tolerate" not in words_of(capsys.readouterr().out)
+    assert [summary_of(tmp_path)[name] for name in OF_LEVELS] == [None] * len(OF_LEVELS)
+    assert run(*ring, "--levels") == 0
+    words, summary = words_of(capsys.readouterr().out), summary_of(tmp_path)
+    levels = Certificate.load(tmp_path / "certificate.json").levels
+    assert f"V falls from, to {levels.conditions.c_out:.3g}" in words
+    assert f"levels tolerate {min(levels.e_star):.3g} to {max(levels.e_star):.3g}" in words
+    assert summary["c_in"] == levels.conditions.c_in
+    assert summary["e_star"]["e_star"] == list(levels.e_star)
+    assert len(summary["e_star"]["levels"]) == len(levels.e_star) + 1
+    for name in ("sigma", "alpha", "delta", "tube_half_width", "step_bound"):
+        assert summary[name] == getattr(levels, name) > 0
 
 
 def test_a_stop_on_the_path_ends_in_status_1_and_a_summary(run, fields, tmp_path, capsys):
@@ -135,12 +161,12 @@ def test_an_open_path_is_certified_by_a_tube(run, tmp_path, capsys):
     assert (summary["certified"], summary["area_fraction"]) == (True, None)
     assert 0 < summary["orbit_half_width"] < 0.5
     assert ink(out / "certificate.png") > 0.01
-    # There are no levels of V that a flight could be held against.
+    # There are no walls that a flight could be held against.
     status = run(
         "fly", field_file("half_circle"), *FLIGHT, "--certificate", out, "--out", tmp_path / "f"
     )
     assert status == 2
-    assert "proves nothing of levels of V" in words_of(capsys.readouterr().err)
+    assert "proves nothing of walls" in words_of(capsys.readouterr().err)
 
 
 FLIGHT = ("--scale", 0.1, "--speed", 1.5, "--laps", 1)
@@ -153,12 +179,20 @@ def test_a_flight_is_held_against_the_certificate(run, fields, tmp_path, capsys)
     flight = {f"flight_1.{kind}" for kind in ("html", "parquet", "png")}
     assert names_in(out) == {"summary.json", "certificate.png", *flight}
     found, claimed = summary_of(out)["certificate"], Certificate.load(CERTIFICATE)
-    assert found["c_in"] == claimed.conditions.c_in
     assert found["e_star_max"] == claimed.e_star_max
     assert len(found["what_it_does_not_cover"]) > 3
-    # So fast, it flies a wider field than the one that is certified.
-    assert found["inside_margin"] is False
-    assert "NOT inside of the margin" in words_of(capsys.readouterr().out)
+    assert found["inside_margin"] is True
+    width = 0.1 * claimed.pieces[0].wall_half_widths[0]
+    assert found["covering_half_width"] == pytest.approx(width)
+    words = words_of(capsys.readouterr().out)
+    assert (
+        f"inside of what is proved: walls within {width:.3g} m of the orbits hold it" in words
+    )
+    # A wind takes more of the speed than any walls tolerate.
+    windy = (*FLIGHT, "--speed", 0.5, "--wind", "8,0", *against, "--overwrite")
+    assert run("fly", field, *windy, "--out", out) == 0
+    assert summary_of(out)["certificate"]["inside_margin"] is False
+    assert "NOT inside of what is proved" in words_of(capsys.readouterr().out)
     # Without a certificate, its figure does not stay.
     assert run("fly", field, *FLIGHT, "--overwrite", "--out", out) == 0
     assert "certificate" not in summary_of(out)
@@ -241,6 +275,8 @@ BAD = [
     ("certify", ("stopping", *CHECK), "another field"),
     ("certify", ("ring", *CHECK, "--speed", 1.5, "--scale", 0.25), "another field"),
     ("certify", ("ring", "--check", "none.json"), "none.json"),
+    ("certify", ("ring", *CHECK, "--levels"), "--check proves what the certificate holds"),
+    ("certify", ("open", "--levels"), "levels of V are proved of closed paths in the plane"),
     ("fly", ("stopping", "--certificate", CERTIFICATE), "the certificate of another field"),
     ("fly", ("ring", "--certificate", "."), "no certificate in ."),
     ("fly", ("ring", "--tour", "1,1", "--certificate", CERTIFICATE), "says nothing of a tour"),

@@ -5,8 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sgvf_drake.certificate import Certificate, Conditions
-from sgvf_drake.certificate.mixture_model import lowest_of, mixture_of
+from sgvf_drake.certificate import Certificate, PieceResult, Walls
 from sgvf_drake.clouds import PointCloud
 from sgvf_drake.experiments import fly, follow
 from sgvf_drake.fields.storage import field_digest
@@ -95,8 +94,8 @@ def flown(flight_field, rings):
     )
 
 
-# Of the planted certificate: V of another noise level than the field's, and its band.
-RING_SIGMA_OF_V, RING_C_IN, RING_C_OUT = 0.28, 0.04, 6.0
+# Of the planted walls: how far they are from the ring, and what they tolerate.
+WALL_HALF_WIDTHS, WALL_E_STAR = (0.1, 0.3, 0.8), (0.1, 0.25, 0.5)
 
 
 @pytest.fixture(scope="session")
@@ -106,20 +105,38 @@ def ring_field():
 
 
 @pytest.fixture(scope="session")
-def ring_certificate(ring_field):
-    """A certificate of it by hand: e* is 0.1 at the border of the tube, and 0.4 from V = 1 on.
+def planted_certificate():
+    """Makes a certificate with walls around circles about the origin, of radii in units."""
 
-    A proof takes 15 s, and what it would say is not what is tested here.
-    """
-    lowest = lowest_of(mixture_of(ring_field, RING_SIGMA_OF_V))
-    conditions = Conditions(RING_SIGMA_OF_V, lowest, RING_C_IN, RING_C_OUT, 0.01, 0.5, 0.5)
-    return Certificate(
-        certified=True,
-        reason="planted",
-        field_digest=field_digest(ring_field),
-        conditions=conditions,
-        sigma=RING_SIGMA_OF_V * ring_field.cloud.unit_length,
-        tube_half_width=0.1,
-        levels=(RING_C_IN, 0.2, 1.0, RING_C_OUT),
-        e_star=(0.1, 0.25, 0.4),
-    )
+    def planted(field, *radii, half_widths=WALL_HALF_WIDTHS, e_star=WALL_E_STAR):
+        walls = (
+            Walls.through(
+                *(
+                    field.cloud.normalize([circle(radius + side * w, 360) for w in half_widths])
+                    for side in (-1, 1)
+                )
+            )
+            for radius in radii
+        )
+        piece = PieceResult(
+            orbit_exists=True,
+            wall_half_widths=half_widths,
+            e_star=e_star,
+            entry_times=half_widths,
+        )
+        return Certificate(
+            certified=True,
+            reason="planted",
+            field_digest=field_digest(field),
+            tubes=(None,) * len(radii),
+            walls=tuple(walls),
+            pieces=(piece,) * len(radii),
+        )
+
+    return planted
+
+
+@pytest.fixture(scope="session")
+def ring_certificate(ring_field, planted_certificate):
+    """A certificate of it by hand, since a proof takes seconds and says what it finds."""
+    return planted_certificate(ring_field, 4.0)

@@ -177,7 +177,7 @@ def test_the_gauges_show_the_error_and_the_margin(ring_field, ring_certificate, 
         shown[round(done - 0.1, 6)] = [meshcat.GetSliderValue(name) for name in MARGIN_GAUGES]
         moves(stage, done, total)
 
-    # From afar, where more is tolerated than in the tube.
+    # From beyond the walls, where nothing is tolerated.
     options = {"duration": 5.0, "start": (5.4 * SCALE, 0.0, 1.0), "progress": progress}
     (flight,) = fly(ring_field.rescaled(SCALE), path, scene=scene, **options).flights
     margin = flight_margin(certified, flight, 0.45)

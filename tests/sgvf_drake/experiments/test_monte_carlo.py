@@ -31,6 +31,7 @@ from sgvf_drake.experiments import (
     workers_of,
 )
 from sgvf_drake.experiments.intervals import fraction_interval
+from sgvf_drake.fields import load_field
 from systems import Disturbance
 from tests.data.make import field_file
 from tests.helpers import ink, names_in, summary_of
@@ -149,6 +150,29 @@ def test_a_shared_diagram_flies_as_one_that_was_built_for_the_flight(experiment)
         site = monte_carlo._open_site(flight.shared, experiment.speed)
         alone = simulate(site.field, site.reference, flight.spec, flight.piece)
         pd.testing.assert_frame_equal(log, alone.log, check_exact=True)
+
+
+def test_flights_are_held_against_walls(experiment, planted_certificate, tmp_path):
+    # The last walls are about another circle than those that are flown.
+    for name, radii, e_star, came, inside in (
+        ("wide", (1.0, 2.0), 2.0, 3, 3),
+        ("weak", (1.0, 2.0), 1e-6, 3, 0),
+        ("away", (6.0,), 2.0, 0, 0),
+    ):
+        file = tmp_path / f"{name}.json"
+        planted_certificate(
+            load_field(experiment.field), *radii, half_widths=(0.5,), e_star=(e_star,)
+        ).save(file)
+        held = replace(experiment, certificate=str(file))
+        summary = run_monte_carlo(held, tmp_path / name, flights=3)
+        assert summary["certificate"] == {
+            "came_between_walls": came,
+            "stayed_between_walls": came,
+            "inside_margin": inside,
+        }
+        table = table_of(tmp_path / name)
+        assert table["inside_margin"].sum() == inside
+        assert table["stayed_between_walls"].notna().sum() == came
 
 
 def test_starts_are_where_the_distributions_have_them(experiment):

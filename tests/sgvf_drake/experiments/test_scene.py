@@ -59,7 +59,7 @@ def test_every_flight_leaves_its_page(flight_field, rings, meshcat, tmp_path):
         commands_in(page)
 
 
-def test_the_page_of_a_flight_holds_the_proved_tube(
+def test_the_page_of_a_flight_holds_the_proved_walls(
     ring_field, ring_certificate, meshcat, tmp_path
 ):
     ring_certificate.save(tmp_path / "certificate.json")

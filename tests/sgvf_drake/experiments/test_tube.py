@@ -158,15 +158,15 @@ def test_other_folders(field, verified, tmp_path):
         tube_curves(field, tmp_path)
 
 
-def test_the_tube_of_a_certificate(ring_field, ring_certificate, tmp_path):
+def test_the_walls_of_a_certificate(ring_field, ring_certificate, tmp_path):
     file = tmp_path / "certificate.json"
     ring_certificate.save(file)
     for scale, place in ((1.0, tmp_path), (0.25, file)):
         curves = tube_curves(ring_field, place, scale)
-        V = LyapunovFunction.of(ring_field.rescaled(scale), scale * ring_certificate.sigma)
-        assert len(curves) == 2
-        for curve in curves:
-            np.testing.assert_allclose(V(curve), ring_certificate.conditions.c_in, atol=1e-3)
+        # Of the three pairs the outermost.
+        for curve, radius in zip(curves, (3.2, 4.8), strict=True):
+            np.testing.assert_allclose(np.hypot(*curve.T), scale * radius)
+            np.testing.assert_array_equal(curve[0], curve[-1])
     other = replace(ring_field, seed=ring_field.seed + 1)
     with pytest.raises(ConfigurationError, match=r"certificate\.json is the certificate of an"):
         tube_curves(other, tmp_path)

@@ -1,4 +1,4 @@
-"""The velocity error of flights: against e* sampled on a circle, and against a certificate."""
+"""The velocity error of flights: against e* sampled on a circle, and against proved walls."""
 
 from dataclasses import replace
 import json
@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from sgvf_drake.certificate import Conditions
+from sgvf_drake.certificate import PieceResult
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments import (
     CertifiedField,
@@ -197,26 +197,35 @@ def planted(certified, radius, error):
     return flight_margin(certified, PieceFlight(0, log, {}), RING_SPEED)
 
 
-def radius_at(certified, level):
-    """The radius outside of the ring at which V is a level, on the first ray."""
-    r = np.linspace(4.0, 5.5, 20_001)
-    V = certified.V(np.column_stack([r, 0 * r]))
-    return r[np.argmin(np.abs(V - level))]
-
-
 def test_the_error_is_the_distance_of_the_velocity_from_the_certified_field(certified):
     error = np.linspace(0.0, 0.3, 300)
     margin = planted(certified, 4.2, error)
     np.testing.assert_allclose(margin.log["error"], error, atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(margin.positions, axis=1), 4.2)
-    V = LyapunovFunction.of(certified.field, certified.certificate.sigma)
-    np.testing.assert_allclose(margin.log["V"], V(margin.positions), atol=1e-9)
-    np.testing.assert_allclose(margin.log["ratio"], margin.log["error"] / margin.log["e_star"])
-    # Each level has the margin of its interval; below c_in that of the tube's border, above
-    # c_out none.
-    levels = np.array([0.0, 0.01, 0.05, 0.19, 0.21, 0.9, 1.1, 5.9, 6.1])
-    expected = [0.1, 0.1, 0.1, 0.1, 0.25, 0.25, 0.4, 0.4, 0.0]
-    np.testing.assert_array_equal(certified.e_star(levels), expected)
+
+
+def at_radii(radii):
+    angle = np.linspace(0.1, 6.0, len(radii))
+    return np.array(radii)[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def test_walls_that_hold_a_point_and_what_the_innermost_tolerate(certified):
+    x = at_radii([0.1, 3.1, 3.25, 3.65, 3.75, 3.95, 4.0, 4.05, 4.15, 4.35, 4.75, 4.85])
+    (held,) = certified.pairs_around(x).T
+    assert held.tolist() == [0, 0, 1, 1, 2, 3, 3, 3, 2, 1, 1, 0]
+    e_star = certified.e_star(held[:, None])
+    np.testing.assert_array_equal(e_star, np.array([0.0, 0.5, 0.25, 0.1])[held])
+
+
+def test_each_piece_has_its_walls(certified, planted_certificate):
+    inner = certified.certificate
+    outer = planted_certificate(certified.field, 6.0, half_widths=(0.1, 0.3), e_star=(0.2, 0.5))
+    walls = (*inner.walls, None, *outer.walls)
+    pieces = (*inner.pieces, PieceResult(orbit_exists=False), *outer.pieces)
+    several = replace(certified, certificate=replace(inner, walls=walls, pieces=pieces))
+    pairs = several.pairs_around(at_radii([4.0, 5.0, 6.0, 6.2, 6.5]))
+    assert pairs.tolist() == [[3, 0, 0], [0, 0, 0], [0, 0, 2], [0, 0, 1], [0, 0, 0]]
+    np.testing.assert_array_equal(several.e_star(pairs), [0.1, 0.0, 0.2, 0.5, 0.0])
 
 
 def profile(value, *steps):
@@ -227,53 +236,63 @@ def profile(value, *steps):
     return values
 
 
-TOLD = ("inside_margin", "settled_s", "error_max", "worst_ratio", "time_outside_s")
-ONCE = profile(0.0, (300, 0.3), (301, 0.0))
-WAY_IN = profile(1.0, (100, 0.2), (150, 0.26), (160, 0.2), (200, 0.02))
-# Levels that the flight is at, zero for the ring itself; its errors; what is told of it, and
-# from when on it was inside.  The take-off takes a second, and e* of the tube is 0.1.
+TOLD = (
+    "inside_margin",
+    "settled_s",
+    "error_max",
+    "covering_half_width",
+    "stayed_between_walls",
+)
+# How far from the ring the flight is; its errors; what is told of it.  The take-off takes a
+# second.
 PLANTED = {
-    "inside": (profile(0.0), profile(0.099), (True, 1.0, 0.099, 0.99, 0.0), 0.0),
-    "outside": (profile(0.0), profile(0.101), (False, 1.0, 0.101, 1.01, 4.0), None),
-    "once": (profile(0.0), ONCE, (False, 1.0, 0.3, 3.0, 0.01), 3.01),
-    # With what V = 0.5 tolerates, and a moment of more; then into the tube.
-    "way in": (profile(0.5, (200, 0.0)), WAY_IN, (True, 2.0, 0.02, 0.2, 0.0), 1.6),
-    "leaves": (
-        profile(0.0, (400, 6.5), (450, 0.0)),
-        profile(0.01),
-        (False, 1.0, 0.01, np.inf, 0.5),
-        4.5,
+    "innermost": (profile(0.0), profile(1.0, (100, 0.099)), (True, 1.0, 0.099, 0.1, True)),
+    "not these": (profile(0.0), profile(1.0, (100, 0.101)), (True, 1.0, 0.101, 0.3, True)),
+    "none": (profile(0.0), profile(0.501), (False, 1.0, 0.501, None, True)),
+    "once": (profile(0.0), profile(0.0, (300, 0.3), (301, 0.0)), (True, 1.0, 0.3, 0.8, True)),
+    # An error counts for those walls alone that the flight was between at the time.
+    "on the way": (
+        profile(0.5, (200, 0.2), (300, 0.0)),
+        profile(1.0, (100, 0.6), (200, 0.26), (300, 0.05)),
+        (True, 1.0, 0.6, 0.1, True),
     ),
-    "never settles": (profile(0.5), profile(0.01), (False, None, None, None, None), 0.0),
+    "it comes back": (
+        profile(0.0, (200, 0.2), (300, 0.0)),
+        profile(0.05, (200, 0.12), (300, 0.05)),
+        (True, 1.0, 0.12, 0.3, True),
+    ),
+    "from outside": (
+        profile(2.0, (200, 0.0)),
+        profile(0.5, (150, 0.6), (160, 0.5), (200, 0.02)),
+        (True, 2.0, 0.02, 0.1, True),
+    ),
+    "leaves": (
+        profile(0.0, (400, 0.9), (450, 0.0)),
+        profile(0.0, (390, 0.6)),
+        (False, 1.0, 0.6, None, False),
+    ),
+    "never comes": (profile(0.9), profile(0.01), (False, None, None, None, None)),
 }
 
 
-@pytest.mark.parametrize(("levels", "error", "told", "since"), PLANTED.values(), ids=PLANTED)
-def test_what_a_planted_flight_is_said_to_do(certified, tmp_path, levels, error, told, since):
-    outward = {level: radius_at(certified, level) for level in np.unique(levels) if level}
-    margin = planted(certified, [outward.get(level, 4.0) for level in levels], error)
+@pytest.mark.parametrize(("off", "error", "told"), PLANTED.values(), ids=PLANTED)
+def test_what_a_planted_flight_is_said_to_do(certified, tmp_path, off, error, told):
+    margin = planted(certified, 4.0 + off, error)
     (piece,) = margin_summary([margin])["pieces"]
-    expected = dict(zip(TOLD, told, strict=True)) | {"inside_from_s": since}
-    for name, value in expected.items():
-        assert piece[name] == (value and pytest.approx(value, abs=1e-9)), name
-    assert margin.inside is piece["inside_margin"]
-    settled = expected["settled_s"] is not None
-    assert piece["stayed_in_tube"] == (levels[200:].max() == 0.0 if settled else None)
-    assert piece["stayed_in_certified_set"] is bool(levels.max() < 6.0)
+    expected = dict(zip(TOLD, told, strict=True))
+    if expected["covering_half_width"] is not None:
+        expected["covering_half_width"] *= SCALE
+    assert {name: piece[name] for name in TOLD} == pytest.approx(expected, abs=1e-9)
+    for pair in piece["walls"]:
+        first = np.flatnonzero(SCALE * np.abs(off[100:]) < pair["half_width"])[0] + 100
+        assert pair["entered_s"] == pytest.approx(PERIOD * first)
+        assert pair["error_max"] == pytest.approx(error[first:].max())
+    widths = np.array(certified.certificate.pieces[0].wall_half_widths)
+    assert len(piece["walls"]) == (widths > np.abs(off[100:]).min()).sum()
+    way_in = {"begin_s": 1.0, "end_s": 1.99, "error_max": 0.6}
     if expected["settled_s"] == 2.0:
-        assert piece["way_in"] == pytest.approx(
-            {
-                **{"begin_s": 1.0, "end_s": 1.99, "error_max": 0.26},
-                **{"worst_ratio": 0.26 / 0.25, "time_outside_s": 0.1},
-            }
-        )
+        assert piece["way_in"] == pytest.approx(way_in)
     write_summary(tmp_path, piece)
-
-
-def test_the_lowest_level_that_tolerates_the_error(certified):
-    for error, level in ((0.05, 0.04), (0.15, 0.2), (0.3, 1.0), (0.5, None)):
-        margin = planted(certified, 4.0, profile(0.0, (300, error), (301, 0.0)))
-        assert margin.covering_level == level
 
 
 @pytest.fixture(scope="module")
@@ -291,43 +310,55 @@ def flown(ring_field, ring_certificate):
     ]
 
 
-def test_a_real_flight_settles_inside_the_margin_unless_in_a_wind(flown, tmp_path):
+def test_a_real_flight_is_inside_of_the_margin_and_in_a_wind_of_a_wider_one(flown, tmp_path):
     calm, windy = (margin.summary() for margin in flown)
-    # The last of the take-off is brought into the tube; from then on it is far inside.
-    assert calm["inside_from_s"] < 2.0
     assert calm["error_median"] < 1e-3
-    assert calm["covering_level"] is not None
-    assert calm["stayed_in_tube"] is True
+    assert calm["covering_half_width"] == pytest.approx(0.6 * 0.3)
     # At the start the vehicle stands.
     assert flown[0].log["error"].iloc[0] == pytest.approx(1.0, abs=0.01)
-    assert windy["inside_margin"] is False
-    assert windy["inside_from_s"] is None
-    # What the field is turned by, of a unit length.
+    # What the field is turned by, of a unit length: the inner walls do not tolerate it.
     assert windy["error_median"] == pytest.approx(2 * np.sin(0.15), rel=0.1)
+    assert windy["covering_half_width"] == pytest.approx(0.6 * 0.8)
     summary = margin_summary(flown[:1])
     write_summary(tmp_path, summary)
     assert json.loads((tmp_path / "summary.json").read_text()) == summary
     assert summary["what_it_does_not_cover"] == list(NOT_COVERED)
-    assert (summary["e_star_tube"], summary["e_star_max"]) == (0.1, 0.4)
+    assert summary["e_star_max"] == 0.5
+    both = margin_summary(flown)
+    assert both["covering_half_width"] == windy["covering_half_width"]
+    assert both["error_max"] == windy["error_max"] > calm["error_max"]
 
 
-def test_the_figure_holds_the_flight_and_its_error(certified, flown):
+def test_no_flight_leaves_walls_that_tolerate_its_errors(flown):
+    for margin in flown:
+        off = np.abs(np.linalg.norm(margin.positions, axis=1) - 4.0)
+        covering = [pair for pair in margin.walls if pair.hold]
+        assert covering
+        for pair in covering:
+            since = margin.log["time"] >= pair.entered_s
+            assert (0.6 * off[since] < pair.half_width).all()
+
+
+def test_the_figure_holds_the_flight_the_walls_and_its_errors(certified, flown):
     margin = flown[0]
     figure = certificate_figure(certified.field, certified.certificate, [margin])
     plane, near, errors = figure.axes
     for axes in (plane, near):
         assert axes.get_aspect() == 1.0
-        x, y = axes.get_lines()[1].get_data()
-        np.testing.assert_allclose(np.hypot(x, y)[-100:], 4.0, atol=0.05)
-    # The window from near holds the place where the flight entered the tube.
+        *walls, _, flight, _ = axes.get_lines()
+        for line, radius in zip(walls, (3.9, 3.7, 3.2, 4.1, 4.3, 4.8), strict=True):
+            np.testing.assert_allclose(np.hypot(*line.get_data()), radius)
+        np.testing.assert_allclose(np.hypot(*flight.get_data())[-100:], 4.0, atol=0.05)
+    # The window from near holds the place where the flight came between the walls.
     x, y = margin.positions[margin.settled][0]
     assert near.get_xlim()[0] < x < near.get_xlim()[1]
     assert near.get_ylim()[0] < y < near.get_ylim()[1]
-    *parts, covering = errors.get_lines()
-    drawn = np.concatenate([line.get_ydata() for line in parts])
-    assert len(drawn) == len(margin.log)
-    assert drawn.max() == pytest.approx(1.0, abs=0.01)
-    assert covering.get_xdata()[0] == margin.covering_level
+    tolerated, measured = errors.get_lines()
+    (piece,) = certified.certificate.pieces
+    expected = [piece.wall_half_widths, piece.e_star]
+    np.testing.assert_allclose(tolerated.get_data(), expected)
+    expected[1] = [pair.error_max for pair in margin.walls]
+    np.testing.assert_allclose(measured.get_data(), expected)
 
 
 # Certificates.
@@ -359,18 +390,9 @@ def test_a_certificate_is_found_by_its_file_or_folder(ring_field, ring_certifica
         opened = CertifiedField.open(ring_field, place, RING_SPEED, SCALE)
         assert opened.certificate == ring_certificate
         assert (opened.field, opened.scale) == (ring_field, SCALE)
-    nothing = replace(ring_certificate, levels=(), e_star=(), reason="a sink")
+    nothing = replace(ring_certificate, walls=(None,), reason="a sink")
     nothing.save(file, overwrite=True)
     with pytest.raises(
-        ConfigurationError, match=r"certificate\.json proves nothing of levels of V: a sink"
+        ConfigurationError, match=r"certificate\.json proves nothing of walls: a sink"
     ):
         CertifiedField.open(ring_field, tmp_path, RING_SPEED)
-
-
-def test_levels_are_those_of_the_certificate(certified):
-    # What the certificate takes off is not found anew.
-    x = np.random.default_rng(0).uniform(-4.5, 4.5, (2500, 2))
-    conditions = certified.certificate.conditions
-    shifted = Conditions(**{**vars(conditions), "lowest": conditions.lowest - 0.5})
-    other = replace(certified, certificate=replace(certified.certificate, conditions=shifted))
-    np.testing.assert_allclose(other.V(x), certified.V(x) + 0.5)
