@@ -131,7 +131,7 @@ class Vehicle(ABC):
     ) -> IdealMotionCapture | MotionCapture:
         """Returns what measures the state; without sensors it is ideal.
 
-        With `fused` it has no ports but those that a `FusedGuidance` needs.
+        With `fused`, if it is ideal, it has no outputs but the `state` of a `FusedGuidance`.
 
         Raises:
             ConfigurationError: if the vehicle has no such sensors.
@@ -250,7 +250,7 @@ class Quadrotor(Vehicle):
         """Returns ideal motion capture, or with noise and delay."""
         if sensors is None:
             return IdealMotionCapture(sample_period, in_parts=not fused)
-        return MotionCapture(sensors, whole=not fused)
+        return MotionCapture(sensors)
 
     def CheckGuided(self, dim: int, speed: float) -> None:
         """Refuses nothing: it flies in the plane and in space, and at any speed."""
