@@ -4,8 +4,7 @@ import math
 from typing import Any
 
 import numpy as np
-from pydrake.common.value import Value
-from pydrake.systems.framework import BasicVector, BasicVector_, LeafSystem_, ValueProducer
+from pydrake.systems.framework import BasicVector_, LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 from sgvf_drake.compiling import digest, kernel
@@ -34,6 +33,7 @@ from systems.scalars import (
     CheckFinite,
     ConstructCopy,
     ToList,
+    ToVector,
     compilable,
     idle,
     remembered,
@@ -82,6 +82,7 @@ def FusedGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
             - speed
             - propeller_force
             - acceleration
+            - constants
             - evaluation
 
         It has the ports, the parameters and the methods of both, of `GuidanceSystem` and of
@@ -92,11 +93,12 @@ def FusedGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
         have a disturbance bandwidth.
 
         `evaluation` holds propeller forces, velocity command, feed-forward and acceleration
-        (see `EVALUATED`), and behind them what is only for this system.  Where the field has a
-        compiled form, one compiled call gives them all, with the feed-forward by J v, which is
-        cheaper than J.  It is as the other ports have it, which are evaluated on their own, to
-        rounding.  `GuidanceLoop` takes from it what it needs by a system in C++: an output in
-        Python costs more than the law.
+        (see `EVALUATED`), and behind them what is only for this system.  So are `constants`,
+        which it needs and which seldom change.  Where the field has a compiled form, one
+        compiled call gives all of it, with the feed-forward by J v, which is cheaper than J.
+        It is as the other ports have it, which are evaluated on their own, to rounding.
+        `GuidanceLoop` takes from it what it needs by a system in C++: an output in Python costs
+        more than the law.
 
         Where only the attitude, the rates or the predicted velocity have changed since the last
         evaluation, the field is not evaluated again: its commands are remembered in the port's
@@ -141,7 +143,17 @@ def FusedGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
             self._acceleration_feedforward = self.GetOutputPort("acceleration_feedforward")
             sources = {self.all_input_ports_ticket(), self.xc_ticket()}
             self._DeclareController(sources, parameters, gains, saturate)
-            self._constants = self._DeclareConstants()
+            # A port, because a cache entry takes Python twice as long to read.
+            self._constants = self.DeclareVectorOutputPort(
+                "constants",
+                _NUM_CONSTANTS,
+                self._CalcConstants,
+                {
+                    self.all_parameters_ticket(),
+                    self.input_port_ticket(self._asked.get_index()),
+                    self.input_port_ticket(self._heading.get_index()),
+                },
+            )
             size = _NUM_EVALUATED + self.num_continuous_states() + _MEMORY_SIZE
             self._evaluation = self.DeclareVectorOutputPort(
                 "evaluation",
@@ -152,21 +164,6 @@ def FusedGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
 
         _construct_copy = ConstructCopy
 
-        def _DeclareConstants(self) -> Any:
-            """Declares what changes seldom, which then need not be read for each evaluation."""
-            return self.DeclareCacheEntry(
-                "constants",
-                ValueProducer(
-                    allocate=lambda: Value[BasicVector](BasicVector(_NUM_CONSTANTS)),
-                    calc=self._CalcConstants,
-                ),
-                {
-                    self.all_parameters_ticket(),
-                    self.input_port_ticket(self._asked.get_index()),
-                    self.input_port_ticket(self._heading.get_index()),
-                },
-            )
-
         def _CalcConstants(self, context: Any, constants: Any) -> None:
             guiding, vehicle = self._ReadParameters(context), self._parameters
             guiding[0] = self._FlownSpeed(context, guiding[0])
@@ -175,7 +172,7 @@ def FusedGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
                 *(*guiding, *self._ReadGains(context), *body, *vehicle.rotors),
                 *(vehicle.mass, vehicle.gravity, self._saturate, self._feedforward),
             )
-            constants.get_mutable_value().SetFromVector(np.array(values, np.float64))
+            constants.SetFromVector(ToVector(T, values))
 
         def _CalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
             rate = self._evaluation.Eval(context)[_NUM_EVALUATED:-_MEMORY_SIZE]
@@ -197,7 +194,7 @@ def FusedGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
 
         def _CalcCompiled(self, context: Any, output: Any) -> bool:
             """Fills in the evaluation; returns whether it can be used."""
-            constants = self._constants.Eval(context).CopyToVector()
+            constants = self._constants.Eval(context)
             field = self._Flown(constants[_APPROACH_LENGTH]).arguments
             if field is None:
                 return False
