@@ -4,7 +4,7 @@ from typing import Any
 
 from pydrake.examples import QuadrotorPlant
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPort, System
-from pydrake.systems.primitives import Integrator
+from pydrake.systems.primitives import Integrator, ZeroOrderHold
 
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields.base import Field, SteerableField
@@ -62,7 +62,8 @@ class GuidanceLoop(Diagram):
         guidance: The `GuidanceSystem`, or the system in its place.
         controller: The `Se3Controller`; where it is fused with guidance, the `FusedGuidance`
             that both are, of the name "guidance".
-        motion_capture: The `IdealMotionCapture`, or with sensors the `MotionCapture`.
+        motion_capture: The `IdealMotionCapture`, or with sensors the `MotionCapture`.  Before a
+            `FusedGuidance` what samples ideally is Drake's ZeroOrderHold of the state.
         supervisor: The `BranchSupervisor`, or None.
         heading: The `HeadingSystem`, or None.
         actuation: The name of the port that commands the vehicle.
@@ -73,7 +74,8 @@ class GuidanceLoop(Diagram):
         controller: A system with these two as inputs, an input `state` (12) and an output
             `propeller_force` (4), or for another vehicle its own state and actuation; or the
             very `FusedGuidance` that is the guidance.
-        motion_capture: An `IdealMotionCapture` or a `MotionCapture`.
+        motion_capture: An `IdealMotionCapture` or a `MotionCapture`; before a `FusedGuidance`
+            perhaps a ZeroOrderHold.
         supervisor: A `BranchSupervisor`, or None.
         heading: A `HeadingSystem`, for a controller with an input `heading` (1), or None.
         actuation: The name of the controller's output.
@@ -126,10 +128,11 @@ class GuidanceLoop(Diagram):
     def _ConnectFused(self, builder: DiagramBuilder) -> None:
         """Connects guidance and controller in one with what they are given."""
         capture, fused = self.motion_capture, self.guidance
-        _Connect(builder, capture, fused, "state")
+        state = capture.GetOutputPort("y" if isinstance(capture, ZeroOrderHold) else "state")
+        builder.Connect(state, fused.GetInputPort("state"))
         seen = capture if capture.HasOutputPort("position") else fused
         self._outputs = {
-            "state": capture.GetOutputPort("state"),
+            "state": state,
             "position": seen.GetOutputPort("position"),
             **AddSelections(builder, "evaluated", fused.GetOutputPort("evaluation"), EVALUATED),
         }
@@ -162,7 +165,7 @@ class GuidanceLoop(Diagram):
 
     def _Export(self, builder: DiagramBuilder) -> None:
         """Makes ports of what is connected with nothing inside, and of what is told."""
-        builder.ExportInput(self.motion_capture.GetInputPort("state"), "state")
+        builder.ExportInput(self.motion_capture.get_input_port(0), "state")
         for system, name in (
             (self.guidance, "speed"),
             (self.guidance, "intended_direction"),

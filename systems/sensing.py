@@ -250,7 +250,6 @@ class IdealMotionCapture(Diagram):
         period: In s, for which a sample is held; 0 passes the state through in continuous time.
         size: That of the state, which begins with the position; by default QuadrotorPlant's.
         velocity: The entries of the velocity in it.
-        in_parts: Whether there are `position` and `velocity` too.
     """
 
     def __init__(
@@ -258,7 +257,6 @@ class IdealMotionCapture(Diagram):
         period: float = DEFAULT_SAMPLE_PERIOD,
         size: int = STATE_SIZE,
         velocity: slice = VELOCITY,
-        in_parts: bool = True,
     ) -> None:
         super().__init__()
         builder = DiagramBuilder()
@@ -267,11 +265,10 @@ class IdealMotionCapture(Diagram):
         self._hold: Any = builder.AddNamedSystem("state", hold)
         builder.ExportInput(hold.get_input_port(), "state")
         builder.ExportOutput(hold.get_output_port(), "state")
-        if in_parts:
-            parts = {"position": POSITION, "velocity": velocity}
-            ports = AddSelections(builder, "parts", hold.get_output_port(), parts)
-            for name, port in ports.items():
-                builder.ExportOutput(port, name)
+        parts = {"position": POSITION, "velocity": velocity}
+        ports = AddSelections(builder, "parts", hold.get_output_port(), parts)
+        for name, port in ports.items():
+            builder.ExportOutput(port, name)
         builder.BuildInto(self)
 
     def SetVectorState(self, context: Context, state: Any) -> None:
