@@ -15,7 +15,6 @@ from pydrake.systems.framework import (
     OutputPort,
 )
 from pydrake.systems.primitives import (
-    Adder,
     Demultiplexer,
     DiscreteTimeDelay,
     PassThrough,
@@ -368,8 +367,4 @@ def _AddNoise(
         f"{name}_source", RandomSource(RandomDistribution.kGaussian, port.size(), period)
     )
     matrix = deviation * np.eye(port.size())
-    noise = AddMatrix(builder, name, matrix, source.get_output_port())
-    adder = builder.AddNamedSystem(f"{name}_added", Adder(2, port.size()))
-    builder.Connect(port, adder.get_input_port(0))
-    builder.Connect(noise, adder.get_input_port(1))
-    return adder.get_output_port()
+    return AddMatrix(builder, name, matrix, source.get_output_port(), offset=port)
