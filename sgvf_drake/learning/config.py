@@ -1,6 +1,6 @@
 """What a training run is asked to do: the recipe, and what the user overrides of it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 import math
 import operator
@@ -144,7 +144,10 @@ class TrainingConfig:
             if value is not None and name not in _OF_THE_PATH
         }
         recipe = RECIPES[self.recipe]
-        defaults = {**recipe.defaults, **(recipe.in_space if dim > 2 else {})}
+        defaults: Mapping[str, Any] = {
+            **recipe.defaults,
+            **(recipe.in_space if dim > 2 else {}),
+        }
         if directed:
             for name in _OF_THE_POSITION_ALONE & given.keys():
                 raise ConfigurationError(

@@ -140,7 +140,7 @@ def strand_loss(network: HeadingNetwork, mixture: StrandMixture) -> Losses:
         g = nn.functional.normalize(g, dim=1)
         short = torch.rand(BATCH_SIZE, 1) < SHORT_SHARE
         g = torch.where(short, torch.rand(BATCH_SIZE, 1) * g, g)
-        q, N = target(x, g).split(d, dim=1)
+        q, N = torch.split(target(x, g), d, dim=1)
         output = network(x, g)
         score = compress(output[:, :d]) - compress(q)
         return {
