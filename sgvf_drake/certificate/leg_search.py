@@ -1,8 +1,8 @@
 """Proposes legs: an orbit at a constant intended direction, and a tube from disk to disk.
 
 As around orbits that close or rest (`tube_search`), the widths of the tube solve
-w' = |G| w + e.  But here they are known at its beginning, where the first section is a disk that
-is given.  As m draws robots together, the tube ends narrower than it began, inside of the disk
+w' = |G| w + e.  But here they are known at its beginning, where the first section is a given
+disk.  As m draws robots together, the tube ends narrower than it began, inside of the disk
 of the next leg.
 
 The direction of m changes at once where the intended one does, so that disks are askew to it.
@@ -37,7 +37,7 @@ LATTICE = 1024
 # How far from the middle of a disk an orbit may pass its plane, in noise levels.
 NEAR = 2.0
 # Inflows that are tried.
-INFLOWS = (0.12, 0.06, 0.03, 0.02)
+INFLOWS = (0.12, 0.06, 0.03, 0.02, 0.01)
 # How far the bounds of the time may be from their middle, relative to it, for a wide tube to be
 # taken.
 SPREAD = 0.01
@@ -88,7 +88,7 @@ class Obstacle:
 
     Attributes:
         reason: In words.
-        place: (d,) where a robot ended that did not come to the next disk, or else the middle
+        place: (d,) where a robot ended that did not come into the next disk, or else the middle
             of the first one, in the unit of who tells it.
     """
 
@@ -137,7 +137,8 @@ def _found(course: "LegCourse") -> ProvedLeg | Obstacle:
         if found is not None and found.proof.spread <= SPREAD:
             break
     if found is None:
-        return Obstacle(reason, tuple(middle_of(course.start).tolist()))
+        place = course.orbit.end if reason == BESIDE else course.points[0]
+        return Obstacle(reason, tuple(place.tolist()))
     return ProvedLeg(Leg(tuple(course.held.g.tolist()), found.tube), found.proof)
 
 
@@ -211,7 +212,7 @@ class LegCourse(Course):
     def _widths_of(self, inflow: float) -> FloatArray:
         """Returns the half-widths along these for an inflow, (n + 1, d - 1)."""
         growth = np.linalg.solve(self._directions, self.growth @ self._directions)
-        growth = absolute_off_diagonal(growth)
+        growth = absolute_off_diagonal(np.asarray(growth))
         widths = [np.linalg.norm(self.frame[0].T @ self._first_axes, axis=0)]
         identity = np.eye(growth.shape[1])
         for step, G in zip(np.diff(self.times), growth[1:], strict=True):

@@ -19,6 +19,9 @@ import numpy as np
 from sgvf_drake.certificate.tube import Tube, TubeProof, prove_tube
 from sgvf_drake.fields import DirectedField, HeldField
 
+LONGEST = 1 + 1e-9
+"""Intended directions are no longer, but for rounding."""
+
 Disk = tuple[tuple[int, ...], ...]
 """The middle of a disk and the d - 1 halves of its sides, as rows of d whole numbers: ticks."""
 
@@ -32,15 +35,15 @@ class Leg:
         tube: The tube; an open one.
 
     Raises:
-        ValueError: If g is not of the space of the tube, or not finite, or the tube closed.
+        ValueError: If g is not of the space of the tube, or longer than 1, or the tube closed.
     """
 
     direction: tuple[float, ...]
     tube: Tube
 
     def __post_init__(self) -> None:
-        whole = len(self.direction) == len(self.tube.sections[0])
-        if not whole or not all(map(math.isfinite, self.direction)) or self.tube.closed:
+        length, dim = math.hypot(*self.direction), len(self.tube.sections[0])
+        if len(self.direction) != dim or not length <= LONGEST or self.tube.closed:
             raise ValueError("a leg is an open tube at an intended direction of its space")
 
     @classmethod
