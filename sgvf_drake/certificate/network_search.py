@@ -10,6 +10,7 @@ from sgvf_drake.arrays import FloatArray
 from sgvf_drake.certificate.leg_search import (
     HALF_WIDTH,
     IN_TURNS,
+    MISSES,
     NEAR,
     Obstacle,
     disk_at,
@@ -29,7 +30,7 @@ RUN_IN = 2.5
 # The cosine of the change of m at a guard from which on robots turn round there.
 ROUND = -0.5
 # Of a place that no robot comes to.
-UNREACHED = "no robot comes to where its first disk, or its last one, has to be"
+UNREACHED = "no robot comes to where its first disk has to be"
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,30 +68,42 @@ class NetworkSearch:
     def _find(self, place: Place) -> list[ProvedLeg] | Obstacle:
         start, end = place.between(self.disks)
         cut = self.automaton.edges[place.before]
-        if place.after is None and start is not None:
-            return self._end(cut, start)
-        if start is None or end is None:
+        if start is None:
             guard = cut.guards[-1 if place.index is None else place.index]
-            where = self._normalised(cut, guard)
-            return Obstacle(UNREACHED, tuple(where.tolist()))
+            return Obstacle(UNREACHED, tuple(self._normalised(cut, guard).tolist()))
+        if place.after is None:
+            return self._end(cut, start)
         if place.index is not None:
-            return self._chain([(cut.directions[place.index], start, end)])
-        entry = self.automaton.edges[place.after].entry
+            goal = self._normalised(cut, cut.guards[place.index + 1])
+            return self._chain([(cut.directions[place.index], start, end, goal)])
+        ahead = self.automaton.edges[place.after]
+        goal = self._normalised(ahead, ahead.guards[0])
         guard = self.automaton.turns[place.before, place.after]
         if guard == cut.guards[-1]:
-            return self._chain([(entry, start, end)])
-        middle = self._next(cut, cut.last, middle_of(start), guard, entry)
+            return self._chain([(ahead.entry, start, end, goal)])
+        middle = self._next(cut, cut.last, middle_of(start), guard, ahead.entry)
+        first = (cut.last, start, middle, self._normalised(cut, guard))
         if middle is None:
-            return Obstacle(UNREACHED, tuple(self._normalised(cut, guard).tolist()))
-        return self._chain([(cut.last, start, middle), (entry, middle, end)])
+            return self._chain([first])
+        return self._chain([first, (ahead.entry, middle, end, goal)])
 
     def _chain(
-        self, wanted: Sequence[tuple[FloatArray, Disk, Disk]]
+        self, wanted: Sequence[tuple[FloatArray, Disk, Disk | None, FloatArray]]
     ) -> list[ProvedLeg] | Obstacle:
-        """Returns the legs at some directions between disks, or why one was not found."""
-        legs = []
-        for direction, start, end in wanted:
-            found = find_leg(self.field.heading(direction), start, end, NEAR * self.field.sigma)
+        """Returns legs, or why one was not found.
+
+        Args:
+            wanted: Of each the intended direction, the disk in which it begins, that in which
+                it ends, if there is one, and the point of the path there, normalised.
+        """
+        legs, near = [], NEAR * self.field.sigma
+        for direction, start, end, goal in wanted:
+            held = self.field.heading(direction)
+            if end is None:
+                middle = middle_of(start)
+                orbit, _ = passing_orbit(held, middle, goal, goal - middle, near)
+                return Obstacle(MISSES, tuple(orbit.end.tolist()))
+            found = find_leg(held, start, end, near)
             if isinstance(found, Obstacle):
                 return found
             legs.append(found)
@@ -112,22 +125,25 @@ class NetworkSearch:
         """
         kept, disks = [0], [self._first(cut, cut.entry, cut.guards[0])]
         while kept[-1] < len(cut.directions):
-            guard, disk = kept[-1] + 1, None
-            soon = cut.guards[kept[-1]] + EXIT * self.field.memory_length
-            if disks[-1] is not None:
-                middle = middle_of(disks[-1])
-                for ahead in range(guard, 1 + len(cut.directions)):
-                    if ahead > guard and cut.guards[ahead - 1] > soon:
-                        break
-                    disk = self._next(cut, cut.directions[ahead - 1], middle, cut.guards[ahead])
-                    if disk is not None:
-                        guard = ahead
-                        break
-            if disk is None:
-                disk = self._first(cut, cut.directions[guard - 1], cut.guards[guard])
+            guard, disk = self._ahead(cut, kept[-1], disks[-1])
             kept.append(guard)
             disks.append(disk)
         return EdgeDisks(cut.number, tuple(kept), tuple(disks))
+
+    def _ahead(self, cut: EdgeCut, guard: int, disk: Disk | None) -> tuple[int, Disk | None]:
+        """Returns the next guard that robots from the disk of a guard pass, and its disk.
+
+        Where they pass none, it is the one that follows, for robots from the path.
+        """
+        soon = cut.guards[guard] + EXIT * self.field.memory_length
+        for ahead in range(guard + 1, len(cut.guards)):
+            if disk is None or (ahead > guard + 1 and cut.guards[ahead - 1] > soon):
+                break
+            direction = cut.directions[ahead - 1]
+            found = self._next(cut, direction, middle_of(disk), cut.guards[ahead])
+            if found is not None:
+                return ahead, found
+        return guard + 1, self._first(cut, cut.directions[guard], cut.guards[guard + 1])
 
     def _first(self, cut: EdgeCut, direction: FloatArray, guard: float) -> Disk | None:
         """Returns the disk at a guard, for robots from the path some way before."""
