@@ -5,6 +5,8 @@ from sgvf_drake.certificate.cells import Cells
 from sgvf_drake.certificate.certificate import Certificate, PieceResult
 from sgvf_drake.certificate.certification import certify, check
 from sgvf_drake.certificate.levels import Conditions, Levels
+from sgvf_drake.certificate.network import NetworkCertificate
+from sgvf_drake.certificate.network_certification import certify_network, check_network
 from sgvf_drake.certificate.rest_ball import RestBall, RestProof, prove_rest
 from sgvf_drake.certificate.tube import Tube, TubeProof, prove_tube
 from sgvf_drake.certificate.tube_search import FoundTube, find_tube
@@ -20,6 +22,7 @@ __all__ = [
     "ExcludedSet",
     "FoundTube",
     "Levels",
+    "NetworkCertificate",
     "PieceResult",
     "RestBall",
     "RestProof",
@@ -29,7 +32,9 @@ __all__ = [
     "WallsProof",
     "ZeroList",
     "certify",
+    "certify_network",
     "check",
+    "check_network",
     "enclose_zeros",
     "find_basin",
     "find_tube",

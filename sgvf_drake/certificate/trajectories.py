@@ -1,4 +1,4 @@
-"""Orbits of m by integration: those that close, and those that come to rest."""
+"""Orbits of m by integration: those that close, come to rest, or lead from place to place."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,6 +21,8 @@ NEAR, CLOSED = 0.2, 1e-6
 # What an orbit is given to settle, in lengths of its piece; so many laps, none longer than so
 # many lengths.
 SETTLING, LAPS, LONGEST_LAP = 0.2, 6, 3.0
+# What is added to the time of the way between two places.
+SLOWEST = 1.0
 # An orbit rests where |m| is so small.  Radii of balls of rest that are tried, in U, and how
 # deep in one an orbit is followed.
 STILL, RADII, WELL_INSIDE = 1e-4, (0.05, 0.035, 0.025, 0.0175), 0.6
@@ -38,18 +40,21 @@ class Orbit:
 
     Attributes:
         at: From times (n,) to points (d, n).
-        duration: The time of a lap, or until it is well inside of its ball of rest.
-        rest: Where it comes to rest; None: it is closed.
+        duration: The time of a lap, or until it is where it leads to: well inside of its ball
+            of rest, if it has one.
+        closed: Whether it is periodic.
+        rest: Where it comes to rest; None: it does not.
     """
 
     at: Solution
     duration: float
+    closed: bool
     rest: RestBall | None = None
 
     @property
-    def closed(self) -> bool:
-        """Whether it is periodic."""
-        return self.rest is None
+    def end(self) -> FloatArray:
+        """The point (d,) at which it is after its duration."""
+        return self.at(np.array([self.duration]))[:, 0]
 
 
 def closed_orbit(
@@ -71,7 +76,7 @@ def closed_orbit(
         if run.status != 1 or gap @ gap > NEAR**2 / 4:
             return None
         if np.abs(gap).max() < CLOSED:
-            return Orbit(_closed_up(run.sol, run.t[-1], gap), float(run.t[-1]))
+            return Orbit(_closed_up(run.sol, run.t[-1], gap), float(run.t[-1]), closed=True)
     return None
 
 
@@ -93,15 +98,35 @@ def open_orbit(field: BoundedField, start: FloatArray, length: float) -> Orbit |
     for ball in (RestBall(tuple(end.tolist()), radius) for radius in RADII):
         if prove_rest(field, ball).proved:
             outside = times[away > WELL_INSIDE * ball.radius]
-            return Orbit(run.sol, float(outside.max(initial=0.0)) + STEP, ball)
+            return Orbit(run.sol, float(outside.max(initial=0.0)) + STEP, False, ball)
     return None
+
+
+def passing_orbit(
+    field: BoundedField, start: FloatArray, place: FloatArray, normal: FloatArray, near: float
+) -> tuple[Orbit, bool]:
+    """Returns the orbit from a place until it passes a plane near another, and whether it does.
+
+    Args:
+        field: The field.
+        start: (d,) where to start, normalised.
+        place: (d,) a point of the plane.
+        normal: (d,) that of the plane, which it passes in this direction.
+        near: How far from the place it passes the plane, at most.
+    """
+    longest = LONGEST_LAP * float(np.linalg.norm(place - start)) + SLOWEST
+    run = _run(_rate(field), start, longest, _pass(place, normal, near), near / 2)
+    return Orbit(run.sol, float(run.t[-1]), closed=False), run.status == 1
 
 
 def _rate(field: BoundedField) -> Rate:
     """Returns z' by time and z."""
-    evaluate = CompiledField(field) if isinstance(field, ComposedField) else field
     center, unit = field.cloud.center, field.cloud.unit_length
-    return lambda _, z: evaluate(center + unit * z)
+    if isinstance(field, ComposedField):
+        evaluate = CompiledField(field)
+        return lambda _, z: evaluate(center + unit * z)
+    motion, g, d = field.field.with_memory().compiled(), field.g, field.dim
+    return lambda _, z: motion.evaluate(np.concatenate([center + unit * z, g]))[:d]
 
 
 def _turned(rate: Rate, angle: float) -> Rate:
@@ -124,6 +149,17 @@ def _return_to(place: FloatArray, normal: FloatArray) -> Event:
     return passed
 
 
+def _pass(place: FloatArray, normal: FloatArray, near: float) -> Event:
+    """Returns the event that an orbit passes a plane near a place, along its normal."""
+
+    def passed(_: float, z: FloatArray) -> float:
+        off = z - place
+        return float(off @ normal) if off @ off < near**2 else -1.0
+
+    passed.terminal, passed.direction = True, 1.0  # type: ignore[attr-defined]
+    return passed
+
+
 def _stop(rate: Rate) -> Event:
     """Returns the event that m nearly vanishes."""
 
@@ -139,7 +175,13 @@ def _closed_up(solution: Solution, duration: float, gap: FloatArray) -> Solution
     return lambda t: solution(t) + gap[:, None] * t / duration
 
 
-def _run(rate: Rate, start: FloatArray, duration: float, event: Event | None = None) -> Any:
+def _run(
+    rate: Rate,
+    start: FloatArray,
+    duration: float,
+    event: Event | None = None,
+    max_step: float = LONGEST_STEP,
+) -> Any:
     """Returns what `solve_ivp` finds."""
     return solve_ivp(
         rate,
@@ -148,7 +190,7 @@ def _run(rate: Rate, start: FloatArray, duration: float, event: Event | None = N
         method="DOP853",
         events=event,
         dense_output=True,
-        max_step=LONGEST_STEP,
+        max_step=min(max_step, LONGEST_STEP),
         rtol=TOLERANCE,
         atol=TOLERANCE,
     )

@@ -50,7 +50,7 @@ class Course:
         points: (n + 1, d) there.
         m: (n + 1, d) the velocities.
         frame: (n + 1, d, d - 1) E, normal to m; of a closed orbit it closes.
-        growth: (n + 1, d - 1, d - 1) G, absolute off its diagonal.
+        growth: (n + 1, d - 1, d - 1) G.
     """
 
     field: BoundedField
@@ -70,8 +70,6 @@ class Course:
         frame, spin = _frame(_direction(m), orbit.closed)
         rate = spin / orbit.duration
         growth = frame.swapaxes(1, 2) @ (J * field.cloud.unit_length) @ frame - rate
-        off = ~np.eye(len(rate), dtype=bool)
-        growth[:, off] = np.abs(growth[:, off])
         return cls(field, orbit, times, z, m, frame, growth)
 
     @property
@@ -87,7 +85,7 @@ class Course:
         """
         n, r = len(self.growth) - 1, self.growth.shape[1]
         step = np.diff(self.times)
-        blocks = np.eye(r) - step[:, None, None] * self.growth[1:]
+        blocks = np.eye(r) - step[:, None, None] * absolute_off_diagonal(self.growth[1:])
         each = np.arange(n)
         before = bsr_array(
             (np.broadcast_to(np.eye(r), blocks.shape), (each - 1) % n, range(n + 1))
@@ -136,6 +134,11 @@ class Course:
         )
 
 
+def absolute_off_diagonal(growth: FloatArray) -> FloatArray:
+    """Returns matrices (n, r, r) with the absolute values of what is off their diagonals."""
+    return np.where(np.eye(growth.shape[1], dtype=bool), growth, np.abs(growth))
+
+
 def _looked_at(field: BoundedField, orbit: Orbit) -> FloatArray:
     """Returns times along an orbit, close together where it turns."""
     times = np.linspace(0, orbit.duration, int(np.ceil(orbit.duration / FIRST)) + 1)
@@ -164,7 +167,7 @@ def _frame(tangent: FloatArray, closed: bool) -> tuple[FloatArray, FloatArray]:
     K = tangent[1:, :, None] * tangent[:-1, None, :]
     K = K - K.swapaxes(1, 2)
     turns = np.eye(tangent.shape[1]) + K + K @ K / (1 + c)
-    frames = [_complement(tangent[0])]
+    frames = [complement(tangent[0])]
     for turn in turns:
         frames.append(turn @ frames[-1])
     frame = np.array(frames)
@@ -175,7 +178,7 @@ def _frame(tangent: FloatArray, closed: bool) -> tuple[FloatArray, FloatArray]:
     return frame, spin
 
 
-def _complement(tangent: FloatArray) -> FloatArray:
+def complement(tangent: FloatArray) -> FloatArray:
     """Returns a frame (d, d - 1) with det [tangent, frame] = 1."""
     frame = null_space(tangent[None])
     frame[:, 0] *= np.linalg.det(np.column_stack([tangent, frame]))
@@ -221,14 +224,14 @@ def find_tube(field: BoundedField, points: FloatArray, *, closed: bool) -> Found
         return None
     found = None
     for inflow in INFLOWS:
-        tighter = _refined(field, course, inflow)
+        tighter = refined(field, course, inflow)
         found = found if tighter is None else tighter
         if found is not None and found.proof.spread <= SPREAD:
             break
     return None if found is None else _with_walls(course, found)
 
 
-def _with_walls(course: Course, found: "_Refined") -> FoundTube:
+def _with_walls(course: Course, found: "Refined") -> FoundTube:
     """Returns a tube with the walls around it that are proved."""
     if course.ladder is None or not len(course.ladder.rungs):
         return FoundTube(found.tube, found.proof)
@@ -240,7 +243,7 @@ def _with_walls(course: Course, found: "_Refined") -> FoundTube:
 
 
 @dataclass(frozen=True, eq=False)
-class _Refined:
+class Refined:
     """A tube that was proved, with sections at some times, from 0 to the end."""
 
     tube: Tube
@@ -248,14 +251,14 @@ class _Refined:
     times: FloatArray
 
 
-def _refined(field: BoundedField, course: Course, inflow: float) -> _Refined | None:
+def refined(field: BoundedField, course: Course, inflow: float) -> Refined | None:
     """Returns a proved tube of an inflow, with more sections where that helps; or None."""
     times, weak = course.sections(inflow), np.inf
     while True:
         tube = course.tube(times, inflow)
         proof = prove_tube(field, tube)
         if proof.proved:
-            return _Refined(tube, proof, times)
+            return Refined(tube, proof, times)
         if not 0 < proof.weak.sum() < weak:
             return None
         weak = proof.weak.sum()

@@ -61,8 +61,8 @@ class Section:
 
 
 @dataclass(frozen=True)
-class _Passage:
-    """How a node is passed.
+class Passage:
+    """How a node is passed, in the unit of the network.
 
     Attributes:
         direction: That of the exit.
@@ -78,15 +78,21 @@ class _Passage:
 
 
 @dataclass(frozen=True)
-class _Bend:
-    """How far before a sharp bend, or a node, the direction behind it is the intended one."""
+class Bend:
+    """How far before a sharp bend, or a node, the direction behind it is the intended one.
+
+    Attributes:
+        sigma: The scale of the field, in the unit of the network.
+        kappa: That of the field.
+        lag: As of `sections`.
+    """
 
     sigma: float
     kappa: float
     lag: float
 
     def lead(self, straight: float) -> float:
-        """The distance for a turn of this cosine.
+        """Returns the distance for a turn of this cosine.
 
         The lag is part of it, but less the more the exit leads back: there, an agent whose
         heading has turned too early is led back along the edge that it came by.
@@ -120,8 +126,8 @@ def sections(
         if not 0 < value < math.inf:
             raise ConfigurationError(f"{name} must be positive and finite, not {value}")
     ends = np.append(itinerary.starts[1:], itinerary.length)
-    bend = _Bend(sigma, kappa, lag)
-    passages = [_passage(itinerary, k, bend) for k in range(len(ends))]
+    bend = Bend(sigma, kappa, lag)
+    passages = [passage(itinerary, k, bend) for k in range(len(ends))]
     found: list[Section] = []
     for k, (begin, end) in enumerate(zip(itinerary.starts, ends, strict=True)):
         before = passages[k - 1] if k or itinerary.closed else None
@@ -140,9 +146,9 @@ def _on_edge(
     itinerary: Itinerary,
     k: int,
     span: tuple[float, float],
-    before: _Passage | None,
-    after: _Passage | None,
-    bend: "_Bend",
+    before: Passage | None,
+    after: Passage | None,
+    bend: Bend,
 ) -> list[Section]:
     """The sections of an edge: behind one node, between the two, and before the other."""
     sigma = bend.sigma
@@ -156,18 +162,35 @@ def _on_edge(
     if before is not None:
         found.append(Section(begin, left, before.direction, edge, None, before.turns))
     if right - left > 1e-9 * sigma:
-        cuts = _cut_bends(itinerary, (left, right), span, sigma)
-        chords = [_chord(itinerary, a, b) for a, b in itertools.pairwise(cuts)]
-        guards = _led(itinerary, cuts, span, bend)
-        for chord, (a, b) in zip(chords, itertools.pairwise(guards), strict=True):
+        for chord, a, b in between_nodes(itinerary, (left, right), span, bend):
             found.append(Section(a, b, chord, edge, node if b == end else None, False))
     if after is not None:
         found.append(Section(right, end, after.direction, edge, node, after.turns))
     return found
 
 
-def _passage(itinerary: Itinerary, k: int, bend: _Bend) -> _Passage | None:
-    """How the node at the end of the `k`-th edge is passed; None if no edge follows."""
+def between_nodes(
+    itinerary: Itinerary, zone: tuple[float, float], edge: tuple[float, float], bend: Bend
+) -> list[tuple[FloatArray, float, float]]:
+    """Cuts a part of an edge where it bends.
+
+    Args:
+        itinerary: The itinerary.
+        zone: The arc lengths at which the part begins and ends.
+        edge: Those of the edge.
+        bend: How far ahead of sharp bends it is cut.
+
+    Returns:
+        The intended direction (d,) of each section, and where that begins and ends.
+    """
+    cuts = _cut_bends(itinerary, zone, edge, bend.sigma)
+    chords = [_chord(itinerary, a, b) for a, b in itertools.pairwise(cuts)]
+    guards = itertools.pairwise(_led(itinerary, cuts, edge, bend))
+    return [(chord, *guard) for chord, guard in zip(chords, guards, strict=True)]
+
+
+def passage(itinerary: Itinerary, k: int, bend: Bend) -> Passage | None:
+    """Returns how the node behind the `k`-th edge is passed; None: no edge follows."""
     sigma = bend.sigma
     node, last = itinerary.nodes[k], k + 1 == len(itinerary.edges)
     if node is None or (last and not itinerary.closed):
@@ -182,7 +205,7 @@ def _passage(itinerary: Itinerary, k: int, bend: _Bend) -> _Passage | None:
     straight = float(into @ direction)
     turns = straight < math.cos(TURN)
     lead = END * sigma if is_end(itinerary, node) else bend.lead(straight)
-    return _Passage(direction, turns, lead, EXIT * sigma)
+    return Passage(direction, turns, lead, EXIT * sigma)
 
 
 def _takeover(straight: float, kappa: float) -> float:
@@ -233,7 +256,7 @@ def _cut_bends(
 
 
 def _led(
-    itinerary: Itinerary, cuts: list[float], edge: tuple[float, float], bend: _Bend
+    itinerary: Itinerary, cuts: list[float], edge: tuple[float, float], bend: Bend
 ) -> list[float]:
     """The guards at the cuts of an edge: ahead of those at corners, as before a node."""
     guards = cuts[:1]

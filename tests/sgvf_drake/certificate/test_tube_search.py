@@ -75,7 +75,9 @@ def test_widths_spread_as_the_field_does(course):
 
 def test_an_orbit_that_repels_is_not_held_together():
     field = exact_field(circle(4.0, 80), sigma=0.4, gain=-0.8)
-    lap = Orbit(lambda t: 4.0 * np.array([np.cos(t / 4), np.sin(t / 4)]), 8 * np.pi)
+    lap = Orbit(
+        lambda t: 4.0 * np.array([np.cos(t / 4), np.sin(t / 4)]), 8 * np.pi, closed=True
+    )
     assert not Course.along(field, lap).holds_together
 
 
