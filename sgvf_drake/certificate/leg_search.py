@@ -36,8 +36,8 @@ HALF_WIDTH, IN_TURNS = 0.1, 0.05
 LATTICE = 1024
 # How far from the middle of a disk an orbit may pass its plane, in noise levels.
 NEAR = 2.0
-# Inflows that are tried.
-INFLOWS = (0.12, 0.06, 0.03, 0.02, 0.01)
+# Inflows that are tried; the last ones where no tube was proved with this one or a larger.
+THIN, INFLOWS = 0.03, (0.12, 0.06, 0.03, 0.02, 0.01)
 # How far the bounds of the time may be from their middle, relative to it, for a wide tube to be
 # taken.
 SPREAD = 0.01
@@ -134,7 +134,7 @@ def _found(course: "LegCourse") -> ProvedLeg | Obstacle:
         reason = OPEN
         tighter = refined(course.field, course, inflow)
         found = found if tighter is None else tighter
-        if found is not None and found.proof.spread <= SPREAD:
+        if found is not None and (found.proof.spread <= SPREAD or inflow <= THIN):
             break
     if found is None:
         place = course.orbit.end if reason == BESIDE else course.points[0]

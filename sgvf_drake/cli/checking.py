@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -16,8 +16,11 @@ from sgvf_drake.cli.options import (
     ReferenceFile,
     columns_of,
 )
-from sgvf_drake.cli.tables import print_folder, print_messages, print_table
+from sgvf_drake.cli.tables import print_columns, print_folder, print_messages, print_table
 from sgvf_drake.exceptions import ConfigurationError
+
+if TYPE_CHECKING:
+    from sgvf_drake.fields import DirectedField
 
 
 @app.command()
@@ -132,6 +135,12 @@ def certify(
     scale: Annotated[
         float, typer.Option(help="With --speed: metres in one unit of the waypoints.")
     ] = 1.0,
+    route: Annotated[
+        str | None,
+        typer.Option(
+            help="Of paths that cross or branch: edges, as 1,2,-3, that are asked for."
+        ),
+    ] = None,
     reference: ReferenceFile = None,
     columns: ReferenceColumns = None,
     overwrite: Overwrite = False,
@@ -141,13 +150,20 @@ def certify(
     from sgvf_drake.experiments import (
         as_flown,
         choose_reference,
-        open_guiding_field,
+        open_field,
         run_certify,
     )
+    from sgvf_drake.fields import DirectedField
 
     if levels and claimed is not None:
         raise ConfigurationError("--check proves what the certificate holds, not --levels")
-    loaded = open_guiding_field(field)
+    loaded = open_field(field)
+    if isinstance(loaded, DirectedField):
+        given = {"--levels": levels, "--speed": speed, "--reference": reference}
+        _certify_network(loaded, route, out, claimed, given, overwrite=overwrite)
+        return
+    if route is not None:
+        raise ConfigurationError("--route is for fields of paths that cross or branch")
     if speed is not None:
         loaded = as_flown(loaded, speed, scale)
     path = choose_reference(loaded, reference, columns_of(columns, reference, "--reference"))
@@ -162,6 +178,62 @@ def certify(
     print_folder(out)
     if not summary["certified"]:
         raise typer.Exit(FAILED)
+
+
+def _certify_network(
+    field: "DirectedField",
+    route: str | None,
+    out: Path,
+    claimed: Path | None,
+    given: Mapping[str, Any],
+    *,
+    overwrite: bool,
+) -> None:
+    """Certifies the network of a directed field; of `given` options none is for those."""
+    from sgvf_drake.certificate import NetworkCertificate
+    from sgvf_drake.experiments import run_certify_network
+    from sgvf_drake.paths.itinerary import Itinerary
+
+    for option in (name for name, value in given.items() if value not in (None, False)):
+        raise ConfigurationError(f"{option} is not for fields of paths that cross or branch")
+    if route is not None and claimed is not None:
+        raise ConfigurationError("--check proves what the certificate holds, not --route")
+    itinerary = None if route is None else Itinerary.parse(route, field.network)
+    certificate = None if claimed is None else NetworkCertificate.load(claimed)
+    with progress() as report:
+        summary = run_certify_network(
+            *(field, itinerary, out),
+            claimed=certificate,
+            overwrite=overwrite,
+            progress=report,
+        )
+    _print_network(summary)
+    print_folder(out)
+    if not summary["certified"]:
+        raise typer.Exit(FAILED)
+
+
+def _print_network(summary: Mapping[str, Any]) -> None:
+    """Prints the summary of the certificate of a network."""
+    rows = {"certified": "yes" if summary["certified"] else "NO", "because": summary["reason"]}
+    for name in ("sections", "turns", "ends"):
+        proved = sum(own["proved"] for own in summary[name])
+        rows[f"{name} proved"] = f"{proved} of {len(summary[name])}"
+    route = summary["route"]
+    if route is not None and route["time_low"] is not None:
+        low, high = (route[name] / summary["unit_length"] for name in ("time_low", "time_high"))
+        lap = "a lap" if route["closed"] else "the route"
+        rows["time"] = f"{lap} as long as {low:.3g} to {high:.3g} U take"
+    rows["patches, time"] = f"{summary['boxes']}, {summary['cpu_s']:.1f} s CPU"
+    print_table("Certificate of the network", rows)
+    columns = {
+        "turn": lambda own: f"{own['from']} into {own['into']}",
+        "not proved, because": lambda own: own["reason"],
+        "at": lambda own: ", ".join(f"{x:.4g}" for x in own["where"] or ()),
+    }
+    failed = [own for own in summary["turns"] if not own["proved"]]
+    if failed:
+        print_columns("Turns that are not proved", columns, failed)
 
 
 def _print_certificate(summary: Mapping[str, Any]) -> None:

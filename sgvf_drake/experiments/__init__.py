@@ -7,6 +7,7 @@ it is, and replaces results there only where `overwrite` says so.  Its `referenc
 
 from sgvf_drake.experiments.certified import CertifiedField, as_flown
 from sgvf_drake.experiments.certify import run_certify
+from sgvf_drake.experiments.certify_network import run_certify_network
 from sgvf_drake.experiments.distributions import (
     Distributions,
     DisturbanceDistributions,
@@ -86,6 +87,7 @@ __all__ = [
     "open_guiding_field",
     "replay_flight",
     "run_certify",
+    "run_certify_network",
     "run_demo",
     "run_fly",
     "run_follow",

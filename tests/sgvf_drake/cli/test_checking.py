@@ -276,6 +276,11 @@ BAD = [
     ("certify", ("ring", *CHECK, "--speed", 1.5, "--scale", 0.25), "another field"),
     ("certify", ("ring", "--check", "none.json"), "none.json"),
     ("certify", ("ring", *CHECK, "--levels"), "--check proves what the certificate holds"),
+    (
+        "certify",
+        ("ring", "--route", "1"),
+        "--route is for fields of paths that cross or branch",
+    ),
     ("certify", ("open", "--levels"), "levels of V are proved of closed paths in the plane"),
     ("fly", ("stopping", "--certificate", CERTIFICATE), "the certificate of another field"),
     ("fly", ("ring", "--certificate", "."), "no certificate in ."),

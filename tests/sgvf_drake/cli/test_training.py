@@ -228,7 +228,7 @@ def test_paths_that_cross_get_a_directed_field(run, refused, eight, tmp_path):
     assert followed["lap_fraction"] == followed["straight_fraction"] == 1
     assert followed["cross_track_rms"] < 0.01 * followed["unit_length"]
     # What knows no directed fields yet says so.
-    for name in ("verify", "certify", "singularities"):
+    for name in ("verify", "singularities"):
         line = refused(name, out, "--out", tmp_path / name)
         assert "directed field m(x, g)" in line
         assert not (tmp_path / name).exists()
