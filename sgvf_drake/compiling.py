@@ -2,8 +2,10 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 import hashlib
 import inspect
+import time
 from types import ModuleType
 from typing import Any
 
@@ -58,3 +60,27 @@ def announced(tell: Callable[[], None]) -> Iterator[None]:
 
     with event.install_listener("numba:compile", Listener()):
         yield
+
+
+@dataclass
+class Stopwatch:
+    """What something took.
+
+    Attributes:
+        wall_s: Wall time, but for what numba compiled meanwhile, s.
+        cpu_s: CPU time of the process, with that, s.
+    """
+
+    wall_s: float = 0.0
+    cpu_s: float = 0.0
+
+
+@contextmanager
+def timed() -> Iterator[Stopwatch]:
+    """Measures what is done inside; the stopwatch is read afterwards."""
+    watch, compiling = Stopwatch(), list[float]()
+    begin, cpu = time.perf_counter(), time.process_time()
+    with event.install_timer("numba:compile", compiling.append):
+        yield watch
+    watch.wall_s = time.perf_counter() - begin - sum(compiling)
+    watch.cpu_s = time.process_time() - cpu

@@ -1,23 +1,15 @@
 """The certificate: what was proved of a field, and the file that says it."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
-import hashlib
-import json
-import math
-from pathlib import Path
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 from sgvf_drake.certificate.basin import ExcludedSet
 from sgvf_drake.certificate.cells import Cells
+from sgvf_drake.certificate.document import Document, bounds_hold
 from sgvf_drake.certificate.levels import Conditions, Levels
 from sgvf_drake.certificate.tube import Tube
 from sgvf_drake.certificate.walls import Walls
-from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.fields.storage import write_whole
-
-FORMAT = "sgvf_drake.certificate"
-VERSION = 3
 
 
 @dataclass(frozen=True)
@@ -60,7 +52,7 @@ class PieceResult:
 
 
 @dataclass(frozen=True)
-class Certificate:
+class Certificate(Document):
     """A proof of path following, or what is in its way.
 
     Lengths are in the unit of the waypoints.
@@ -101,6 +93,8 @@ class Certificate:
     counterexample: tuple[float, float] | None = None
     boxes: int = 0
 
+    FORMAT, VERSION = "sgvf_drake.certificate", 3
+
     @property
     def e_star_max(self) -> float | None:
         """The largest disturbance under which robots stay near every piece; None: unknown."""
@@ -114,64 +108,8 @@ class Certificate:
             (piece.entry_times[-1] for piece in self.pieces if piece.entry_times), default=None
         )
 
-    def save(self, path: str | Path, *, overwrite: bool = False) -> None:
-        """Writes the certificate as JSON, whole or not at all.
-
-        Raises:
-            OutputExistsError: The file exists and `overwrite` is false.
-            OSError: The folder does not exist or cannot be written.
-        """
-        write_whole(Path(path), self.to_json().encode(), overwrite=overwrite)
-
-    def to_json(self) -> str:
-        """Returns the text of the file, a line for each key; its digest is that of the rest."""
-        body = asdict(self)
-        content = {"format": FORMAT, "version": VERSION, "digest": _digest(body), **body}
-        lines = (f" {json.dumps(key)}: {json.dumps(value)}" for key, value in content.items())
-        return "{\n" + ",\n".join(lines) + "\n}\n"
-
-    @classmethod
-    def load(cls, path: str | Path) -> "Certificate":
-        """Reads a certificate.
-
-        Raises:
-            ConfigurationError: The file is missing, damaged, foreign or of another version, or
-                anything in it was changed.
-        """
-        try:
-            text = Path(path).read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise ConfigurationError(f"{path}: cannot be read ({error})") from None
-        try:
-            return cls.from_json(text)
-        except ConfigurationError as error:
-            raise ConfigurationError(f"{path}: {error}") from None
-
-    @classmethod
-    def from_json(cls, text: str) -> "Certificate":
-        """Returns the certificate of a text of `to_json`; see `load`."""
-        try:
-            body = json.loads(text)
-        except (ValueError, RecursionError) as error:
-            raise ConfigurationError(f"no JSON document ({error})") from None
-        if not isinstance(body, dict) or body.pop("format", None) != FORMAT:
-            raise ConfigurationError("not a certificate of sgvf_drake")
-        if (version := body.pop("version", None)) != VERSION:
-            raise ConfigurationError(
-                f"a certificate of version {version}, not of {VERSION}: certify the field anew"
-            )
-        if body.pop("digest", None) != _digest(body):
-            raise ConfigurationError("the certificate was changed after it was written")
-        try:
-            return cls._of(body)
-        except (KeyError, TypeError, ValueError) as error:
-            raise ConfigurationError(f"not a whole certificate ({error})") from None
-
     @classmethod
     def _of(cls, body: Mapping[str, Any]) -> "Certificate":
-        names = {field.name for field in fields(cls)}
-        if set(body) != names:
-            raise KeyError(*sorted(names ^ set(body)))
         point, levels = body["counterexample"], body["levels"]
         if body["cells"] is not None:
             # What is no code is told here.
@@ -194,23 +132,18 @@ class Certificate:
         On other machines the last bits of bounds differ.
         """
         mine, claimed = (
-            (one.certified, one.tubes, one.walls, one.cells, _conditions(one))
+            (one.certified, one.tubes, one.walls, one.cells, _conditions(one), _kinds(one))
             for one in (self, other)
         )
-        if mine != claimed or len(self.pieces) != len(other.pieces):
+        if mine != claimed:
             return False
-        at_least, at_most = ("area_fraction", "almost_fraction"), ("orbit_half_width",)
-        pairs = list(_pairs(self, other, at_least, at_most))
-        for here, there in zip(self.pieces, other.pieces, strict=True):
-            if (here.orbit_exists, here.orbit_unique) != (
-                there.orbit_exists,
-                there.orbit_unique,
-            ):
-                return False
-            pairs += _pairs(here, there, OF_PIECES_AT_LEAST, OF_PIECES_AT_MOST)
+        compared: list[tuple[Any, Any, tuple[str, ...], tuple[str, ...]]] = [
+            (self, other, ("area_fraction", "almost_fraction"), ("orbit_half_width",)),
+            *((*both, *OF_PIECES) for both in zip(self.pieces, other.pieces, strict=True)),
+        ]
         if self.levels is not None and other.levels is not None:
-            pairs += _pairs(self.levels, other.levels, OF_LEVELS_AT_LEAST, OF_LEVELS_AT_MOST)
-        return all(_at_least(a, b, tolerance) for a, b in pairs)
+            compared.append((self.levels, other.levels, *OF_LEVELS))
+        return all(bounds_hold(*one, tolerance) for one in compared)
 
     def refused(self, reason: str) -> "Certificate":
         """Returns the same as not certified, with a reason before its own."""
@@ -221,38 +154,16 @@ def _conditions(certificate: Certificate) -> Conditions | None:
     return None if certificate.levels is None else certificate.levels.conditions
 
 
-def _kind(piece: PieceResult) -> tuple[bool, bool | None]:
-    return piece.orbit_exists, piece.orbit_unique
+def _kinds(certificate: Certificate) -> list[tuple[bool, bool | None]]:
+    return [(piece.orbit_exists, piece.orbit_unique) for piece in certificate.pieces]
 
 
-# What a claim may be weaker in than what is proved.
-OF_PIECES_AT_LEAST = ("lap_time_low", "e_star")
-OF_PIECES_AT_MOST = (
-    *("lap_time_high", "tube_half_width", "rest_radius", "wall_half_widths", "entry_times"),
+# What a claim may be lower in than what is proved, and higher in.
+OF_PIECES = (
+    ("lap_time_low", "e_star"),
+    ("lap_time_high", "tube_half_width", "rest_radius", "wall_half_widths", "entry_times"),
 )
-OF_LEVELS_AT_LEAST = ("alpha", "delta", "decrease_fraction", "step_bound", "e_star")
-OF_LEVELS_AT_MOST = ("tube_half_width", "entry_time_bound")
-
-
-def _pairs(
-    mine: Any, claimed: Any, at_least: Sequence[str], at_most: Sequence[str]
-) -> Iterator[tuple[Any, Any]]:
-    """Yields what has to be as large as what."""
-    for name in at_least:
-        yield getattr(mine, name), getattr(claimed, name)
-    for name in at_most:
-        yield getattr(claimed, name), getattr(mine, name)
-
-
-def _at_least(a: Any, b: Any, tolerance: float) -> bool:
-    """Whether a number, or each of some, is as large as another, but for a tolerance."""
-    if isinstance(a, tuple):
-        return len(a) == len(b) and all(
-            _at_least(x, y, tolerance) for x, y in zip(a, b, strict=True)
-        )
-    return (a is None) == (b is None) and (a is None or a >= b - tolerance * math.fabs(b))
-
-
-def _digest(body: Mapping[str, Any]) -> str:
-    canonical = json.dumps(body, sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(canonical.encode()).hexdigest()
+OF_LEVELS = (
+    ("alpha", "delta", "decrease_fraction", "step_bound", "e_star"),
+    ("tube_half_width", "entry_time_bound"),
+)

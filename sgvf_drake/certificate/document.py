@@ -1,9 +1,11 @@
 """JSON files of what was proved: written whole or not at all, refused if they were changed."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields
 import hashlib
+from itertools import chain
 import json
+import math
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -86,6 +88,35 @@ class Document:
     def _of(cls, body: Mapping[str, Any]) -> Self:
         """Returns what a JSON object with all keys says."""
         raise NotImplementedError
+
+
+def bounds_hold(
+    mine: Any,
+    claimed: Any,
+    at_least: Iterable[str],
+    at_most: Iterable[str],
+    tolerance: float,
+) -> bool:
+    """Whether bounds are as strong as those that are claimed, but for a relative tolerance.
+
+    Args:
+        mine: What is proved.
+        claimed: What is claimed, of the same type.
+        at_least: The names of lower bounds: numbers, tuples of them, or None.
+        at_most: Those of upper bounds.
+        tolerance: For rounding: on other machines the last bits of bounds differ.
+    """
+    lower = ((getattr(mine, name), getattr(claimed, name)) for name in at_least)
+    upper = ((getattr(claimed, name), getattr(mine, name)) for name in at_most)
+    return all(_is_at_least(a, b, tolerance) for a, b in chain(lower, upper))
+
+
+def _is_at_least(a: Any, b: Any, tolerance: float) -> bool:
+    """Whether a number, or each of some, is as large as another, but for a tolerance."""
+    if isinstance(a, tuple):
+        pairs = zip(a, b, strict=False)
+        return len(a) == len(b) and all(_is_at_least(*pair, tolerance) for pair in pairs)
+    return (a is None) == (b is None) and (a is None or a >= b - tolerance * math.fabs(b))
 
 
 def _digest(body: Mapping[str, Any]) -> str:

@@ -3,10 +3,9 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-import math
 from typing import Any
 
-from sgvf_drake.certificate.document import Document
+from sgvf_drake.certificate.document import Document, bounds_hold
 from sgvf_drake.certificate.legs import Disk, Leg
 from sgvf_drake.fields import DirectedField
 from sgvf_drake.paths.automaton import Automaton
@@ -150,19 +149,6 @@ class Stretch:
 AT_LEAST, AT_MOST = ("time_low",), ("time_high", "half_width", "off")
 
 
-def _bounds(
-    mine: Any, claim: Any, at_least: Iterable[str], at_most: Iterable[str], tolerance: float
-) -> bool:
-    """Whether bounds are as strong as those that are claimed, but for a tolerance."""
-    pairs = [(getattr(mine, name), getattr(claim, name), 1) for name in at_least]
-    pairs += [(getattr(mine, name), getattr(claim, name), -1) for name in at_most]
-    return all(
-        (own is None) == (other is None)
-        and (own is None or sign * (own - other) >= -tolerance * math.fabs(other))
-        for own, other, sign in pairs
-    )
-
-
 @dataclass(frozen=True)
 class NetworkCertificate(Document):
     """A proof that robots follow the edges of a network and make its turns.
@@ -250,10 +236,10 @@ class NetworkCertificate(Document):
         return (
             mine == claimed
             and own.keys() == other._of_place.keys()
-            and _bounds(self, other, ("route_time_low",), ("route_time_high",), tolerance)
+            and bounds_hold(self, other, ("route_time_low",), ("route_time_high",), tolerance)
             and all(
                 own[claim.place].legs == claim.legs
-                and _bounds(own[claim.place], claim, AT_LEAST, AT_MOST, tolerance)
+                and bounds_hold(own[claim.place], claim, AT_LEAST, AT_MOST, tolerance)
                 for claim in other.stretches
             )
         )

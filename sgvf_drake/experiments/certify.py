@@ -2,12 +2,10 @@
 
 from dataclasses import asdict
 from os import PathLike
-import time
 from typing import Any
 
-from numba.core import event
-
 from sgvf_drake.certificate import Certificate, certify, check
+from sgvf_drake.compiling import timed
 from sgvf_drake.experiments.certified import CERTIFICATE, CERTIFICATE_FIGURE
 from sgvf_drake.experiments.figures.certificate import certificate_figure
 from sgvf_drake.experiments.reference import choose_reference
@@ -50,21 +48,18 @@ def run_certify(
     """
     path, kind = reference or choose_reference(field)
     with result_folder(out, CERTIFY_FILES, overwrite=overwrite) as folder:
-        compiling: list[float] = []
-        begin, cpu = time.perf_counter(), time.process_time()
-        with event.install_timer("numba:compile", compiling.append):
+        with timed() as watch:
             if claimed is None:
                 found = certify(field, path, levels=levels, progress=progress)
             else:
                 found = check(claimed, field, path)
-        elapsed, cpu_time = time.perf_counter() - begin, time.process_time() - cpu
         found.save(folder / CERTIFICATE)
         save_figure(certificate_figure(field, found), folder / CERTIFICATE_FIGURE)
         summary = {
             **certificate_summary(found),
             "checked": claimed is not None,
-            "time_s": elapsed - sum(compiling),
-            "cpu_s": cpu_time,
+            "time_s": watch.wall_s,
+            "cpu_s": watch.cpu_s,
             "unit_length": field.cloud.unit_length,
             "reference": kind,
             **origin(field),

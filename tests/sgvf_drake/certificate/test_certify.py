@@ -10,8 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from sgvf_drake import certify
-from sgvf_drake.certificate import Cells, Certificate, check
-from sgvf_drake.certificate import certificate as module
+from sgvf_drake.certificate import Cells, Certificate, check, document
 from sgvf_drake.certificate.kernels import check_rounding
 from sgvf_drake.certificate.tube import TICK
 from sgvf_drake.exceptions import ConfigurationError, OutputExistsError
@@ -152,7 +151,7 @@ def without_walls(text):
     body = json.loads(text)
     head = {name: body.pop(name) for name in ("format", "version", "digest")}
     del body["walls"]
-    return json.dumps({**head, "digest": module._digest(body), **body})
+    return json.dumps({**head, "digest": document._digest(body), **body})
 
 
 @pytest.mark.parametrize(
@@ -162,8 +161,8 @@ def without_walls(text):
         (lambda text: text.replace('"certified": true', '"certified": false'), "was changed"),
         (lambda text: text[: len(text) // 2], "no JSON document"),
         (lambda text: "", "no JSON document"),
-        (lambda text: "[1, 2]", "not a certificate"),
-        (lambda text: '{"format": "another"}', "not a certificate"),
+        (lambda text: "[1, 2]", "not a file of the format"),
+        (lambda text: '{"format": "another"}', "not a file of the format"),
         (lambda text: text.replace('"version": 3', '"version": 1'), "version 1, not of 3"),
         (lambda text: json.dumps({**json.loads(text), "more": 1}), "was changed"),
         (without_walls, "walls"),
