@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 import hashlib
 import inspect
-import time
 from types import ModuleType
 from typing import Any
 
@@ -59,43 +58,3 @@ def announced(tell: Callable[[], None]) -> Iterator[None]:
 
     with event.install_listener("numba:compile", Listener()):
         yield
-
-
-class Stopwatch(event.Listener):
-    """The time that something took, but for what numba compiled.
-
-    Attributes:
-        wall_s: Wall time, s.
-        cpu_s: CPU time of the process, s.
-    """
-
-    def __init__(self) -> None:
-        self.wall_s = self.cpu_s = 0.0
-        self._compiling = 0
-
-    def count(self, sign: int) -> None:
-        """Goes on (-1) or halts (1)."""
-        self.wall_s += sign * time.perf_counter()
-        self.cpu_s += sign * time.process_time()
-
-    def on_start(self, event: Any) -> None:
-        """Halts, unless it is for a kernel that another one calls."""
-        if not self._compiling:
-            self.count(1)
-        self._compiling += 1
-
-    def on_end(self, event: Any) -> None:
-        """Goes on after the last of these."""
-        self._compiling -= 1
-        if not self._compiling:
-            self.count(-1)
-
-
-@contextmanager
-def timed() -> Iterator[Stopwatch]:
-    """Measures what is done inside; what is given tells it afterwards."""
-    watch = Stopwatch()
-    watch.count(-1)
-    with event.install_listener("numba:compile", watch):
-        yield watch
-    watch.count(1)

@@ -20,7 +20,11 @@ from sgvf_drake.arrays import FloatArray
 
 
 def AddMatrix(
-    builder: DiagramBuilder, name: str, matrix: FloatArray, *inputs: OutputPort
+    builder: DiagramBuilder,
+    name: str,
+    matrix: FloatArray,
+    *inputs: OutputPort,
+    offset: OutputPort | None = None,
 ) -> OutputPort:
     """Adds a matrix times the vector of all inputs; returns the port of the product.
 
@@ -29,6 +33,7 @@ def AddMatrix(
         name: What `SetMatrix` knows the matrix by.
         matrix: The one of the default Context, (rows, columns).
         *inputs: Vectors of as many entries as there are columns, in all.
+        offset: Is added to the product, of as many entries as there are rows; None: nothing.
     """
     rows, columns = matrix.shape
     source = builder.AddNamedSystem(f"{name}_matrix", ConstantVectorSource(_ByColumns(matrix)))
@@ -38,6 +43,8 @@ def AddMatrix(
         name, LinearTransformDensity(RandomDistribution.kGaussian, columns, rows)
     )
     builder.Connect(source.get_output_port(), product.get_input_port_A())
+    if offset is not None:
+        builder.Connect(offset, product.get_input_port_b())
     if len(inputs) == 1:
         builder.Connect(inputs[0], product.get_input_port_w_in())
     else:

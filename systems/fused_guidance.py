@@ -4,8 +4,7 @@ import math
 from typing import Any
 
 import numpy as np
-from pydrake.common.value import Value
-from pydrake.systems.framework import BasicVector, BasicVector_, LeafSystem_, ValueProducer
+from pydrake.systems.framework import BasicVector_, LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 from sgvf_drake.compiling import digest, kernel
@@ -34,6 +33,7 @@ from systems.scalars import (
     CheckFinite,
     ConstructCopy,
     ToList,
+    ToVector,
     compilable,
     idle,
     remembered,
@@ -47,9 +47,6 @@ EVALUATED = {
     "acceleration": slice(10, 13),
 }
 """Where the output `evaluation` of `FusedGuidance` has what its ports of these names have."""
-
-PARTS = {"position": 3, "attitude": 3, "velocity": 3, "rates": 3}
-"""Ports and sizes of a state that is measured in parts."""
 
 _NUM_EVALUATED = 13
 _COMMANDS = slice(4, 10)
@@ -85,6 +82,7 @@ def FusedGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
             - speed
             - propeller_force
             - acceleration
+            - constants
             - evaluation
 
         It has the ports, the parameters and the methods of both, of `GuidanceSystem` and of
@@ -95,11 +93,12 @@ def FusedGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
         have a disturbance bandwidth.
 
         `evaluation` holds propeller forces, velocity command, feed-forward and acceleration
-        (see `EVALUATED`), and behind them what is only for this system.  Where the field has a
-        compiled form, one compiled call gives them all, with the feed-forward by J v, which is
-        cheaper than J.  It is as the other ports have it, which are evaluated on their own, to
-        rounding.  `GuidanceLoop` takes from it what it needs by systems in C++: an output in
-        Python costs more than the law.
+        (see `EVALUATED`), and behind them what is only for this system.  So are `constants`,
+        which it needs and which seldom change.  Where the field has a compiled form, one
+        compiled call gives all of it, with the feed-forward by J v, which is cheaper than J.
+        It is as the other ports have it, which are evaluated on their own, to rounding.
+        `GuidanceLoop` takes from it what it needs by a system in C++: an output in Python costs
+        more than the law.
 
         Where only the attitude, the rates or the predicted velocity have changed since the last
         evaluation, the field is not evaluated again: its commands are remembered in the port's
@@ -114,9 +113,6 @@ def FusedGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
             parameters: As in `Se3Controller`, and so is what follows up to `saturate`.
             gains: The gains.
             saturate: Whether there are limits.
-            in_parts: Whether the state comes as four inputs (3) of its own in place of one:
-                `position`, `attitude`, `velocity` and `rates`.  Then `state` is an output, and
-                `position` is none.
 
         Raises:
             ConfigurationError: as in the two.
@@ -134,19 +130,30 @@ def FusedGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
             parameters: QuadrotorParameters | None = None,
             gains: Gains = DEFAULT_GAINS,
             saturate: bool = True,
-            in_parts: bool = False,
             converter: Any = None,
         ) -> None:
             LeafSystem_[T].__init__(self, converter=converter)
-            motion = self._DeclareState(in_parts)
+            self._state = self.DeclareVectorInputPort("state", STATE_SIZE)
+            measured = {self.input_port_ticket(self._state.get_index())}
+            self.DeclareVectorOutputPort("position", 3, self._CopyPosition, measured)
             self._DeclareGuidance(
-                motion, field, speed, altitude, feedforward, max_approach_rate
+                measured, field, speed, altitude, feedforward, max_approach_rate
             )
             self._velocity_command = self.GetOutputPort("velocity_command")
             self._acceleration_feedforward = self.GetOutputPort("acceleration_feedforward")
             sources = {self.all_input_ports_ticket(), self.xc_ticket()}
             self._DeclareController(sources, parameters, gains, saturate)
-            self._constants = self._DeclareConstants()
+            # A port, because a cache entry takes Python twice as long to read.
+            self._constants = self.DeclareVectorOutputPort(
+                "constants",
+                _NUM_CONSTANTS,
+                self._CalcConstants,
+                {
+                    self.all_parameters_ticket(),
+                    self.input_port_ticket(self._asked.get_index()),
+                    self.input_port_ticket(self._heading.get_index()),
+                },
+            )
             size = _NUM_EVALUATED + self.num_continuous_states() + _MEMORY_SIZE
             self._evaluation = self.DeclareVectorOutputPort(
                 "evaluation",
@@ -157,21 +164,6 @@ def FusedGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
 
         _construct_copy = ConstructCopy
 
-        def _DeclareConstants(self) -> Any:
-            """Declares what changes seldom, which then need not be read for each evaluation."""
-            return self.DeclareCacheEntry(
-                "constants",
-                ValueProducer(
-                    allocate=lambda: Value[BasicVector](BasicVector(_NUM_CONSTANTS)),
-                    calc=self._CalcConstants,
-                ),
-                {
-                    self.all_parameters_ticket(),
-                    self.input_port_ticket(self._asked.get_index()),
-                    self.input_port_ticket(self._heading.get_index()),
-                },
-            )
-
         def _CalcConstants(self, context: Any, constants: Any) -> None:
             guiding, vehicle = self._ReadParameters(context), self._parameters
             guiding[0] = self._FlownSpeed(context, guiding[0])
@@ -180,48 +172,21 @@ def FusedGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
                 *(*guiding, *self._ReadGains(context), *body, *vehicle.rotors),
                 *(vehicle.mass, vehicle.gravity, self._saturate, self._feedforward),
             )
-            constants.get_mutable_value().SetFromVector(np.array(values, np.float64))
-
-        def _DeclareState(self, in_parts: bool) -> set[Any]:
-            """Declares the ports of the state; returns the tickets of place and velocity."""
-            names = PARTS if in_parts else {"state": STATE_SIZE}
-            self._measured = [
-                self.DeclareVectorInputPort(name, size) for name, size in names.items()
-            ]
-            tickets = [self.input_port_ticket(port.get_index()) for port in self._measured]
-            self._state: Any = self._measured[0]
-            self._EvalState = self._EvalParts if in_parts else self._state.Eval
-            if in_parts:
-                self._state = self.DeclareVectorOutputPort(
-                    "state", STATE_SIZE, self._CopyState, set(tickets)
-                )
-                return {tickets[0], tickets[2]}
-            self.DeclareVectorOutputPort("position", 3, self._CopyPosition, set(tickets))
-            return set(tickets)
+            constants.SetFromVector(ToVector(T, values))
 
         def _CalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
             rate = self._evaluation.Eval(context)[_NUM_EVALUATED:-_MEMORY_SIZE]
             derivatives.get_mutable_vector().SetFromVector(rate)
 
-        def _EvalParts(self, context: Any) -> np.ndarray:
-            return np.concatenate([port.Eval(context) for port in self._measured])
-
-        def _CopyState(self, context: Any, output: Any) -> None:
-            output.SetFromVector(self._EvalState(context))
-
         def _CopyPosition(self, context: Any, output: Any) -> None:
-            output.SetFromVector(self._EvalState(context)[POSITION])
+            output.SetFromVector(self._state.Eval(context)[POSITION])
 
         def _EvalVehicle(self, context: Any) -> tuple[np.ndarray, np.ndarray]:
-            if len(self._measured) == 1:
-                state = self._state.Eval(context)
-                return state[POSITION], state[VELOCITY]
-            position, _, velocity, _ = self._measured
-            return position.Eval(context), velocity.Eval(context)
+            state = self._state.Eval(context)
+            return state[POSITION], state[VELOCITY]
 
         def _CheckVehicle(self, context: Any) -> None:
-            for port in self._measured:
-                CheckFinite(self, context, port, ToList(port.Eval(context)))
+            CheckFinite(self, context, self._state, ToList(self._state.Eval(context)))
 
         def _CalcEvaluation(self, context: Any, output: Any) -> None:
             if T is not float or not self._CalcCompiled(context, output):
@@ -229,14 +194,14 @@ def FusedGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
 
         def _CalcCompiled(self, context: Any, output: Any) -> bool:
             """Fills in the evaluation; returns whether it can be used."""
-            constants = self._constants.Eval(context).CopyToVector()
+            constants = self._constants.Eval(context)
             field = self._Flown(constants[_APPROACH_LENGTH]).arguments
             if field is None:
                 return False
             predicted = self._undisturbed
             if self._predicted_velocity is not None:
                 predicted = self._predicted_velocity.Eval(context)
-            evaluation, state = output.get_mutable_value(), self._EvalState(context)
+            evaluation, state = output.get_mutable_value(), self._state.Eval(context)
             if self._intended is None:
                 return _CalcFused(evaluation, state, predicted, constants, *field)
             intended = np.zeros(self._field.dim)

@@ -4,16 +4,17 @@ from typing import Any
 
 from pydrake.examples import QuadrotorPlant
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPort, System
-from pydrake.systems.primitives import Integrator
+from pydrake.systems.primitives import Integrator, ZeroOrderHold
 
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields.base import Field, SteerableField
 from systems.controller import DEFAULT_GAINS, Se3Controller
-from systems.fused_guidance import EVALUATED, PARTS, FusedGuidance
+from systems.fused_guidance import EVALUATED, FusedGuidance
 from systems.guidance import DEFAULT_ALTITUDE, GuidanceSystem, HasCompiledForm
 from systems.quadrotor import ATTITUDE, VELOCITY, QuadrotorParameters
 from systems.se3_law import Gains
-from systems.sensing import DEFAULT_SAMPLE_PERIOD, AddSelection, SensorParameters
+from systems.selections import AddSelections
+from systems.sensing import DEFAULT_SAMPLE_PERIOD, SensorParameters
 from systems.vehicle import Quadrotor, Vehicle
 
 MOTION = ("position", "velocity")
@@ -61,7 +62,8 @@ class GuidanceLoop(Diagram):
         guidance: The `GuidanceSystem`, or the system in its place.
         controller: The `Se3Controller`; where it is fused with guidance, the `FusedGuidance`
             that both are, of the name "guidance".
-        motion_capture: The `IdealMotionCapture`, or with sensors the `MotionCapture`.
+        motion_capture: The `IdealMotionCapture`, or with sensors the `MotionCapture`.  Before a
+            `FusedGuidance` what samples ideally is Drake's ZeroOrderHold of the state.
         supervisor: The `BranchSupervisor`, or None.
         heading: The `HeadingSystem`, or None.
         actuation: The name of the port that commands the vehicle.
@@ -72,7 +74,8 @@ class GuidanceLoop(Diagram):
         controller: A system with these two as inputs, an input `state` (12) and an output
             `propeller_force` (4), or for another vehicle its own state and actuation; or the
             very `FusedGuidance` that is the guidance.
-        motion_capture: An `IdealMotionCapture` or a `MotionCapture`.
+        motion_capture: An `IdealMotionCapture` or a `MotionCapture`; before a `FusedGuidance`
+            perhaps a ZeroOrderHold.
         supervisor: A `BranchSupervisor`, or None.
         heading: A `HeadingSystem`, for a controller with an input `heading` (1), or None.
         actuation: The name of the controller's output.
@@ -115,7 +118,7 @@ class GuidanceLoop(Diagram):
             self._AddPredictor(builder)
         if motion_capture.HasInputPort("acceleration"):
             port = motion_capture.GetInputPort("acceleration")
-            builder.Connect(self._OutputNamed(builder, "acceleration"), port)
+            builder.Connect(self._outputs["acceleration"], port)
         self.heading: Any = None
         if heading is not None:
             self._AddHeading(builder, heading)
@@ -125,12 +128,14 @@ class GuidanceLoop(Diagram):
     def _ConnectFused(self, builder: DiagramBuilder) -> None:
         """Connects guidance and controller in one with what they are given."""
         capture, fused = self.motion_capture, self.guidance
-        measured = ("state",) if fused.HasInputPort("state") else PARTS
-        _Connect(builder, capture, fused, *measured)
-        # The feed-forward is seldom asked for, and a selection of it would always cost.
-        for name in ("state", "position", "acceleration_feedforward"):
-            source = fused if fused.HasOutputPort(name) else capture
-            self._outputs[name] = source.GetOutputPort(name)
+        state = capture.GetOutputPort("y" if isinstance(capture, ZeroOrderHold) else "state")
+        builder.Connect(state, fused.GetInputPort("state"))
+        seen = capture if capture.HasOutputPort("position") else fused
+        self._outputs = {
+            "state": state,
+            "position": seen.GetOutputPort("position"),
+            **AddSelections(builder, "evaluated", fused.GetOutputPort("evaluation"), EVALUATED),
+        }
 
     def _ConnectTwo(self, builder: DiagramBuilder, supervisor: Any) -> None:
         """Connects guidance and controller, and a supervisor between them."""
@@ -151,13 +156,6 @@ class GuidanceLoop(Diagram):
                 if source.HasOutputPort(name):
                     self._outputs[name] = source.GetOutputPort(name)
 
-    def _OutputNamed(self, builder: DiagramBuilder, name: str) -> OutputPort:
-        """Returns what has these values; of a fused system it is a part of its evaluation."""
-        if name not in self._outputs:
-            evaluation = self.guidance.GetOutputPort("evaluation")
-            self._outputs[name] = AddSelection(builder, evaluation, name, EVALUATED[name])
-        return self._outputs[name]
-
     def _AddHeading(self, builder: DiagramBuilder, heading: Any) -> None:
         self.heading = builder.AddNamedSystem("heading", heading)
         _Connect(builder, self.motion_capture, heading, "position")
@@ -167,7 +165,7 @@ class GuidanceLoop(Diagram):
 
     def _Export(self, builder: DiagramBuilder) -> None:
         """Makes ports of what is connected with nothing inside, and of what is told."""
-        builder.ExportInput(self.motion_capture.GetInputPort("state"), "state")
+        builder.ExportInput(self.motion_capture.get_input_port(0), "state")
         for system, name in (
             (self.guidance, "speed"),
             (self.guidance, "intended_direction"),
@@ -182,14 +180,14 @@ class GuidanceLoop(Diagram):
         builder.ExportOutput(self._outputs["state"], "measured_state")
         builder.ExportOutput(self._outputs["position"], "position")
         for name in (*COMMANDS, self.actuation):
-            builder.ExportOutput(self._OutputNamed(builder, name), name)
+            builder.ExportOutput(self._outputs[name], name)
         for name in REPORTS:
             if self.supervisor is not None and self.supervisor.HasOutputPort(name):
                 builder.ExportOutput(self.supervisor.GetOutputPort(name), name)
 
     def _AddPredictor(self, builder: DiagramBuilder) -> None:
         predictor = self._predictor = builder.AddNamedSystem("predictor", Integrator(3))
-        builder.Connect(self._OutputNamed(builder, "acceleration"), predictor.get_input_port())
+        builder.Connect(self._outputs["acceleration"], predictor.get_input_port())
         port = self.controller.GetInputPort("predicted_velocity")
         builder.Connect(predictor.get_output_port(), port)
 
@@ -296,10 +294,7 @@ def AddGuidance(
         can_be = HasCompiledForm(guidance) and type(controller) is Se3Controller
         is_fused = fused and can_be and not between
         if is_fused:
-            in_parts = sensors is not None
-            guide = controller = FusedGuidance(
-                *flown, in_parts=in_parts, **controller.arguments
-            )
+            guide = controller = FusedGuidance(*flown, **controller.arguments)
         else:
             guide = GuidanceSystem(*flown)
         vehicle.CheckGuided(guidance.dim, speed)

@@ -15,10 +15,8 @@ from pydrake.systems.framework import (
     OutputPort,
 )
 from pydrake.systems.primitives import (
-    Adder,
     Demultiplexer,
     DiscreteTimeDelay,
-    MatrixGain,
     PassThrough,
     RandomSource,
     ZeroOrderHold,
@@ -29,6 +27,7 @@ from sgvf_drake.exceptions import ConfigurationError
 from systems.context_matrix import AddMatrix, SetMatrix
 from systems.quadrotor import ATTITUDE, POSITION, RATES, STATE_SIZE, VELOCITY
 from systems.scalars import SCALARS, ConstructCopy, ToFloat, idle, remembered
+from systems.selections import AddConcatenation, AddSelections
 from systems.state_estimator import DEFAULT_BANDWIDTH, StateEstimator
 
 DEFAULT_SAMPLE_PERIOD = 0.01
@@ -125,10 +124,9 @@ class MotionCapture(Diagram):
 
     Args:
         parameters: Noise, delay and rates.
-        whole: Whether there is `state`: a system in Python that takes time even if nobody asks.
     """
 
-    def __init__(self, parameters: SensorParameters, whole: bool = True) -> None:
+    def __init__(self, parameters: SensorParameters) -> None:
         super().__init__()
         self._parameters = parameters
         builder = DiagramBuilder()
@@ -153,11 +151,8 @@ class MotionCapture(Diagram):
             builder.ExportOutput(port, port.get_name())
         for port, name in zip(held, ("attitude", "rates"), strict=True):
             builder.ExportOutput(port, name)
-        if whole:
-            parts = builder.AddNamedSystem("state", Concatenation([3, 3, 3, 3]))
-            for index, port in enumerate((estimate[0], held[0], estimate[1], held[1])):
-                builder.Connect(port, parts.get_input_port(index))
-            builder.ExportOutput(parts.get_output_port(), "state")
+        whole = (estimate[0], held[0], estimate[1], held[1])
+        builder.ExportOutput(AddConcatenation(builder, "state", whole), "state")
         builder.ExportOutput(
             self._estimator.GetOutputPort("measurement_age"), "measurement_age"
         )
@@ -254,7 +249,6 @@ class IdealMotionCapture(Diagram):
         period: In s, for which a sample is held; 0 passes the state through in continuous time.
         size: That of the state, which begins with the position; by default QuadrotorPlant's.
         velocity: The entries of the velocity in it.
-        in_parts: Whether there are `position` and `velocity` too.
     """
 
     def __init__(
@@ -262,7 +256,6 @@ class IdealMotionCapture(Diagram):
         period: float = DEFAULT_SAMPLE_PERIOD,
         size: int = STATE_SIZE,
         velocity: slice = VELOCITY,
-        in_parts: bool = True,
     ) -> None:
         super().__init__()
         builder = DiagramBuilder()
@@ -271,10 +264,10 @@ class IdealMotionCapture(Diagram):
         self._hold: Any = builder.AddNamedSystem("state", hold)
         builder.ExportInput(hold.get_input_port(), "state")
         builder.ExportOutput(hold.get_output_port(), "state")
-        parts = {"position": POSITION, "velocity": velocity} if in_parts else {}
-        for name, entries in parts.items():
-            part = AddSelection(builder, hold.get_output_port(), name, entries)
-            builder.ExportOutput(part, name)
+        parts = {"position": POSITION, "velocity": velocity}
+        ports = AddSelections(builder, "parts", hold.get_output_port(), parts)
+        for name, port in ports.items():
+            builder.ExportOutput(port, name)
         builder.BuildInto(self)
 
     def SetVectorState(self, context: Context, state: Any) -> None:
@@ -287,20 +280,6 @@ class IdealMotionCapture(Diagram):
         if self._is_sampled:
             own = self.GetMutableSubsystemContext(self._hold, context)
             self._hold.SetVectorState(own, state)
-
-
-def AddSelection(
-    builder: DiagramBuilder, port: OutputPort, name: str, entries: slice
-) -> OutputPort:
-    """Adds a system of this name that takes entries of a vector, and returns its output.
-
-    Drake's Demultiplexer would do, but its outputs count as dependent on the time: behind it,
-    everything is evaluated anew in every stage of the integrator.
-    """
-    rows: Any = np.eye(port.size())[entries]
-    selection = builder.AddNamedSystem(name, MatrixGain(rows))
-    builder.Connect(port, selection.get_input_port())
-    return selection.get_output_port()
 
 
 def DrawNoise(diagram: Diagram, context: Context, generator: RandomGenerator) -> None:
@@ -378,50 +357,6 @@ def Dropout_(T: type) -> Any:  # noqa: D103 (the class below says it)
 Dropout = Dropout_[None]
 
 
-@TemplateSystem.define("Concatenation_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
-def Concatenation_(T: type) -> Any:  # noqa: D103 (the class below says it)
-    @idle
-    class Impl(LeafSystem_[T]):
-        """Puts its input vectors one after the other.
-
-        .. pydrake_system::
-
-            name: Concatenation
-            input_ports:
-            - u0
-            - u(n-1)
-            output_ports:
-            - output
-
-        It does what Drake's Multiplexer does, whose output counts as dependent on the time:
-        behind one, everything is evaluated anew in every stage of the integrator, even
-        where the inputs are held between samples.
-
-        Args:
-            sizes: The sizes of the inputs.
-        """
-
-        @remembered
-        def _construct(self, sizes: Sequence[int], converter: Any = None) -> None:
-            LeafSystem_[T].__init__(self, converter=converter)
-            self._inputs = [
-                self.DeclareVectorInputPort(f"u{k}", size) for k, size in enumerate(sizes)
-            ]
-            self.DeclareVectorOutputPort(
-                "output", sum(sizes), self._CalcOutput, {self.all_input_ports_ticket()}
-            )
-
-        _construct_copy = ConstructCopy
-
-        def _CalcOutput(self, context: Any, output: Any) -> None:
-            output.SetFromVector(np.concatenate([port.Eval(context) for port in self._inputs]))
-
-    return Impl
-
-
-Concatenation = Concatenation_[None]
-
-
 def _AddNoise(
     builder: DiagramBuilder, port: OutputPort, name: str, deviation: float, period: float
 ) -> OutputPort:
@@ -432,8 +367,4 @@ def _AddNoise(
         f"{name}_source", RandomSource(RandomDistribution.kGaussian, port.size(), period)
     )
     matrix = deviation * np.eye(port.size())
-    noise = AddMatrix(builder, name, matrix, source.get_output_port())
-    adder = builder.AddNamedSystem(f"{name}_added", Adder(2, port.size()))
-    builder.Connect(port, adder.get_input_port(0))
-    builder.Connect(noise, adder.get_input_port(1))
-    return adder.get_output_port()
+    return AddMatrix(builder, name, matrix, source.get_output_port(), offset=port)

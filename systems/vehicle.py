@@ -7,6 +7,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 from pydrake.systems.framework import System
+from pydrake.systems.primitives import ZeroOrderHold
 
 from sgvf_drake.arrays import FloatArray
 from sgvf_drake.exceptions import ConfigurationError
@@ -128,10 +129,11 @@ class Vehicle(ABC):
     @abstractmethod
     def MakeMotionCapture(
         self, sample_period: float, sensors: SensorParameters | None, fused: bool = False
-    ) -> IdealMotionCapture | MotionCapture:
+    ) -> IdealMotionCapture | MotionCapture | ZeroOrderHold:
         """Returns what measures the state; without sensors it is ideal.
 
-        With `fused` it has no ports but those that a `FusedGuidance` needs.
+        With `fused`, what samples ideally is a mere hold of the state: `FusedGuidance` needs no
+        parts of it, and a Diagram around a hold costs a flight more time than the hold.
 
         Raises:
             ConfigurationError: if the vehicle has no such sensors.
@@ -246,11 +248,13 @@ class Quadrotor(Vehicle):
 
     def MakeMotionCapture(
         self, sample_period: float, sensors: SensorParameters | None, fused: bool = False
-    ) -> IdealMotionCapture | MotionCapture:
+    ) -> IdealMotionCapture | MotionCapture | ZeroOrderHold:
         """Returns ideal motion capture, or with noise and delay."""
-        if sensors is None:
-            return IdealMotionCapture(sample_period, in_parts=not fused)
-        return MotionCapture(sensors, whole=not fused)
+        if sensors is not None:
+            return MotionCapture(sensors)
+        if fused and sample_period > 0.0:
+            return ZeroOrderHold(sample_period, STATE_SIZE)
+        return IdealMotionCapture(sample_period)
 
     def CheckGuided(self, dim: int, speed: float) -> None:
         """Refuses nothing: it flies in the plane and in space, and at any speed."""

@@ -35,6 +35,9 @@ from sgvf_drake.progress import Progress, no_progress
 # Directions u that are tried.
 ANGLES = np.linspace(0, 2 * np.pi, 32, endpoint=False)
 DIRECTIONS = np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1)
+# What is known of m on a square, but for a positive factor: of its part across each of `SIDES`,
+# along the axis of that, at least and at most; and of m . u for each direction, at least.
+LEAST, MOST, ALONG = slice(0, 4), slice(4, 8), slice(8, 8 + len(DIRECTIONS))
 # Squares that are asked about at once.
 CHUNK = 1000
 # Sets in which robots may stay are divided as a whole while they are more than this part of the
@@ -45,59 +48,6 @@ GAIN = 0.005
 ROUNDS = 12
 # Squares on walls are divided to this part of the distance between them.
 FIT = 0.25
-
-
-@dataclass(frozen=True, eq=False)
-class Facts:
-    """What is known of m on n squares, but for a positive factor.
-
-    Attributes:
-        least: (n, 4) of the part of m across each of `SIDES`, along its axis, at least.
-        most: (n, 4) the same, at most.
-        along: (n, 32) of m . u, at least, for each of the directions.
-    """
-
-    least: FloatArray
-    most: FloatArray
-    along: FloatArray
-
-    @classmethod
-    def of(cls, field: GuidingField, boxes: Boxes) -> "Facts":
-        """Returns the facts of a field on squares."""
-        chunks = (boxes[first : first + CHUNK] for first in range(0, len(boxes), CHUNK))
-        return cls.joined([cls._of_some(field, chunk) for chunk in chunks])
-
-    @classmethod
-    def joined(cls, parts: "list[Facts]") -> "Facts":
-        """Returns the facts of some squares after those of others."""
-        names = ("least", "most", "along")
-        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
-
-    def __getitem__(self, rows: BoolArray) -> "Facts":
-        return Facts(self.least[rows], self.most[rows], self.along[rows])
-
-    def spread(self, rows: BoolArray) -> "Facts":
-        """Returns the facts as those of some rows of more squares; of the others NaN."""
-        names = ("least", "most", "along")
-        wider = [np.full((len(rows), getattr(self, name).shape[1]), np.nan) for name in names]
-        for one, name in zip(wider, names, strict=True):
-            one[rows] = getattr(self, name)
-        return Facts(*wider)
-
-    @classmethod
-    def _of_some(cls, field: GuidingField, boxes: Boxes) -> "Facts":
-        # What overflows is not above any bound, nor below one.
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            m = direction_model(field, boxes.patches)
-            sides = [
-                m.functions(slice(axis, axis + 1)).at_end(axis, sign) for axis, sign in SIDES
-            ]
-            along = [m.weighted(np.broadcast_to(u, m.value.shape)).lower for u in DIRECTIONS]
-            return cls(
-                np.concatenate([side.lower for side in sides], axis=1),
-                np.concatenate([side.upper for side in sides], axis=1),
-                np.concatenate(along, axis=1),
-            )
 
 
 @dataclass(frozen=True)
@@ -205,7 +155,7 @@ def find_basin(
             break
         parts = _Known.of(field, known.cells[divisible].quarters(), walls)
         evaluated += parts.evaluated
-        known = known.without(divisible).joined(parts)
+        known = known.replaced(divisible, parts)
     progress("cells", ROUNDS, ROUNDS)
     return replace(_basin(field, known.cells, graph), evaluated=evaluated)
 
@@ -251,12 +201,12 @@ class _Known:
     Attributes:
         cells: The squares.
         goal: (n,) which are between walls.
-        facts: Of the others; NaN of these.
+        facts: (n, 8 + u) of the others; NaN of these.
     """
 
     cells: Cells
     goal: BoolArray
-    facts: Facts
+    facts: FloatArray
 
     @classmethod
     def of(cls, field: GuidingField, cells: Cells, walls: Sequence[Walls]) -> "_Known":
@@ -264,24 +214,36 @@ class _Known:
         boxes, goal = cells.boxes, np.zeros(len(cells), bool)
         for one in walls:
             goal |= one.hold(boxes)[0]
-        return cls(cells, goal, Facts.of(field, boxes[~goal]).spread(~goal))
+        facts, asked = np.full((len(cells), ALONG.stop), np.nan), boxes[~goal]
+        chunks = (asked[first : first + CHUNK] for first in range(0, len(asked), CHUNK))
+        facts[~goal] = np.concatenate(
+            [np.empty((0, ALONG.stop)), *(facts_of(field, chunk) for chunk in chunks)]
+        )
+        return cls(cells, goal, facts)
 
     @property
     def evaluated(self) -> int:
         """Over how many squares the field was bounded."""
         return int((~self.goal).sum())
 
-    def without(self, rows: BoolArray) -> "_Known":
-        """Returns what is known of the other squares."""
-        return _Known(self.cells[~rows], self.goal[~rows], self.facts[~rows])
-
-    def joined(self, other: "_Known") -> "_Known":
-        """Returns what is known of these squares and others."""
+    def replaced(self, rows: BoolArray, other: "_Known") -> "_Known":
+        """Returns what is known of these squares, but for other ones in the place of some."""
         return _Known(
-            self.cells.joined(other.cells),
-            np.concatenate([self.goal, other.goal]),
-            Facts.joined([self.facts, other.facts]),
+            self.cells[~rows].joined(other.cells),
+            np.concatenate([self.goal[~rows], other.goal]),
+            np.concatenate([self.facts[~rows], other.facts]),
         )
+
+
+def facts_of(field: GuidingField, boxes: Boxes) -> FloatArray:
+    """Returns what is known of m on squares, by the columns above, (n, 8 + u)."""
+    # What overflows is not above any bound, nor below one.
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        m = direction_model(field, boxes.patches)
+        sides = [m.functions(slice(axis, axis + 1)).at_end(axis, sign) for axis, sign in SIDES]
+        along = [m.weighted(np.broadcast_to(u, m.value.shape)).lower for u in DIRECTIONS]
+        least, most = [side.lower for side in sides], [side.upper for side in sides]
+        return np.concatenate([*least, *most, *along], axis=1)
 
 
 def _graph(known: _Known) -> _Graph:
@@ -291,8 +253,8 @@ def _graph(known: _Known) -> _Graph:
     out = np.zeros(n, bool)
     for k, (axis, sign) in enumerate(SIDES):
         beyond = cells.neighbours(axis, sign)
-        forwards = ~(sign * np.where(sign > 0, facts.most[:, k], facts.least[:, k]) < 0)
-        backwards = ~(sign * np.where(sign > 0, facts.least[:, k], facts.most[:, k]) > 0)
+        outward = sign * facts[:, [LEAST.start + k, MOST.start + k]][:, ::sign]
+        forwards, backwards = ~(outward[:, 1] < 0), ~(outward[:, 0] > 0)
         out |= (beyond == -1) & forwards & ~goal
         own = np.flatnonzero(beyond >= 0)
         source += [own, beyond[own]]
@@ -309,11 +271,11 @@ def _graph(known: _Known) -> _Graph:
     return _Graph(after, goal, out, labels, ~_moves(labels, facts)[labels] & ~goal)
 
 
-def _moves(labels: IntArray, facts: Facts) -> BoolArray:
+def _moves(labels: IntArray, facts: FloatArray) -> BoolArray:
     """Tells of which sets there is a u with m . u > 0 on all of their squares."""
     order = np.argsort(labels, kind="stable")
     first = np.searchsorted(labels[order], np.arange(labels.max() + 1))
-    least = np.minimum.reduceat(facts.along[order], first, axis=0)
+    least = np.minimum.reduceat(facts[order, ALONG], first, axis=0)
     # NaN is not above zero.
     return np.asarray((least > 0).any(axis=1))
 

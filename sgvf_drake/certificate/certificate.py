@@ -194,13 +194,7 @@ class Certificate:
         On other machines the last bits of bounds differ.
         """
         mine, claimed = (
-            (
-                one.certified,
-                one.tubes,
-                one.walls,
-                one.cells,
-                one.levels and one.levels.conditions,
-            )
+            (one.certified, one.tubes, one.walls, one.cells, _conditions(one))
             for one in (self, other)
         )
         if mine != claimed or len(self.pieces) != len(other.pieces):

@@ -110,10 +110,6 @@ class Decrease:
         """Answers it over squares that cover the band."""
         return divide(boxes, self._ask, self._refute, smallest)
 
-    def explore(self, boxes: Boxes, smallest: float) -> Division:
-        """Answers it on as many squares as it can; on the others it is undecided."""
-        return divide(boxes, self._ask, lambda z: np.zeros(len(z), bool), smallest)
-
     def _ask(self, boxes: Boxes) -> Answer:
         facts = np.full((len(boxes), 5), np.nan)
         facts[:, LOW], facts[:, HIGH] = self.levels.level_range(boxes)

@@ -49,7 +49,6 @@ import numpy as np
 from scipy.linalg import null_space
 
 from sgvf_drake.arrays import BoolArray, FloatArray
-from sgvf_drake.certificate.boxes import Boxes
 from sgvf_drake.certificate.contraction import rate_across
 from sgvf_drake.certificate.expansions import RECIPROCAL
 from sgvf_drake.certificate.field_model import BoundedField, dual_field, has_dual, model_field
@@ -152,13 +151,6 @@ class Tube:
         """The cells between each section and the next."""
         rows = self.rows
         return Parts(rows[:-1], rows[1:], np.arange(len(rows) - 1))
-
-    @property
-    def boxes(self) -> Boxes:
-        """Squares, or cubes, around the quarters of its cells."""
-        patches = self.cells.halves().halves().patches
-        reach = np.abs(patches.axes).sum(axis=2).max(axis=1)
-        return Boxes(patches.centers, (1 + SLACK) * reach)
 
     @property
     def half_width(self) -> float:

@@ -257,7 +257,7 @@ def _print_certificate(summary: Mapping[str, Any]) -> None:
         rows["thin tubes"] = f"at most {summary['orbit_half_width'] / U:.3g} U from the path"
     if summary["c_in"] is not None:
         rows |= _levels(summary)
-    rows["squares, time"] = f"{summary['boxes']}, {summary['cpu_s']:.1f} s CPU"
+    rows["squares, time"] = f"{summary['boxes']}, {summary['time_s']:.1f} s"
     print_table("Certificate", rows)
 
 

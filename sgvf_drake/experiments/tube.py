@@ -45,9 +45,8 @@ def tube_curves(
         return _verified_tube(field, results, scale)
     walls = CertifiedField.open(field, results, speed, scale).certificate.walls
     outermost = [one.polygons(side)[-1] for one in walls if one for side in (1, -1)]
-    return [
-        scale * field.cloud.denormalize(np.concatenate([wall, wall[:1]])) for wall in outermost
-    ]
+    closed = [np.append(wall, wall[:1], axis=0) for wall in outermost]
+    return [scale * field.cloud.denormalize(wall) for wall in closed]
 
 
 def _verified_tube(

@@ -34,7 +34,7 @@ from systems import SublevelExit
 
 NOT_COVERED = (
     "the take-off, in which a vehicle that stands is in error by all of its speed, and the way "
-    "between the outermost walls: both are told apart",
+    "to the outermost walls: they are told apart",
     "what happens between the logged times",
     "altitude and attitude: the certificate speaks of the position in the plane",
     "any other flight: the error is measured, of one simulated vehicle, and not bounded",

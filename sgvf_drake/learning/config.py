@@ -1,6 +1,6 @@
 """What a training run is asked to do: the recipe, and what the user overrides of it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 import math
 import operator
@@ -15,6 +15,8 @@ from sgvf_drake.paths.draft import DIRECTIONS, Direction
 GAIN_PER_SIGMA = 2.0
 # Of the robust recipe at the default noise level; a finer level takes more of each.
 FREQUENCY_STD = 2.0
+# Of a directed field, whose one network has all of the detail: .24 radians a noise level.
+STRAND_FREQUENCY_STD = 6.0
 SCORE_ITERATIONS = 1_500
 TANGENT_ITERATIONS = 1_000
 # Each restart adds this share of the first attempt's widths and iterations.
@@ -124,8 +126,13 @@ class TrainingConfig:
         }
         return {name: value for name, value in given.items() if value is not None}
 
-    def resolved(self, sigma: float, *, directed: bool = False) -> "Settings":
+    def resolved(self, sigma: float, *, dim: int = 2, directed: bool = False) -> "Settings":
         """Returns every value of the run, where the cloud asks for a noise level.
+
+        Args:
+            sigma: The noise level.
+            dim: The dimension of the waypoints.
+            directed: Whether it is of a directed field.
 
         Raises:
             ConfigurationError: If a directed field is asked for, and an option means nothing
@@ -137,7 +144,10 @@ class TrainingConfig:
             if value is not None and name not in _OF_THE_PATH
         }
         recipe = RECIPES[self.recipe]
-        defaults = recipe.defaults
+        defaults: Mapping[str, Any] = {
+            **recipe.defaults,
+            **(recipe.in_space if dim > 2 else {}),
+        }
         if directed:
             for name in _OF_THE_POSITION_ALONE & given.keys():
                 raise ConfigurationError(
@@ -149,8 +159,11 @@ class TrainingConfig:
         values.setdefault("gain", GAIN_PER_SIGMA * values["sigma_min"])
         # A finer level has more to learn: features of more detail, in more iterations.
         detail = max(1.0, SIGMA_DEFAULT / values["sigma_min"])
-        values.setdefault("frequency_std", FREQUENCY_STD * detail)
-        values.setdefault("score_iterations", round(SCORE_ITERATIONS * detail))
+        std = STRAND_FREQUENCY_STD if directed else FREQUENCY_STD
+        values.setdefault("frequency_std", std * detail)
+        # A score has as much more of it in space, where its network is larger besides.
+        wide = dim / 2
+        values.setdefault("score_iterations", round(SCORE_ITERATIONS * detail * wide))
         values.setdefault("tangent_iterations", round(TANGENT_ITERATIONS * detail))
         return Settings(**values)
 

@@ -116,7 +116,7 @@ def train(
         support = find_strands(cloud, network, config.sigma_min)
     else:
         support = find_support(cloud, network, config.sigma_min)
-    settings = config.resolved(support.sigma, directed=directed)
+    settings = config.resolved(support.sigma, dim=cloud.dim, directed=directed)
     for attempt in range(settings.max_restarts + 1):
         own = settings.grown(attempt)
         with _torch_session(settings.seed, attempt):

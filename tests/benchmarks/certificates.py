@@ -36,7 +36,7 @@ SHAPES = (
 FLIGHTS = (("concentric-flight", 0.45), ("separated-flight", 2.0))
 RECORDINGS = 5
 # Robots that are simulated of each kind, and for how long, in lengths of the unit.
-STARTS, DURATION = 400, 60.0
+STARTS, DURATION = 400, 20.0
 
 
 def space_curve(name: str) -> PointCloud:

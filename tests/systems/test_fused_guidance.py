@@ -48,8 +48,8 @@ def near(field, rng):
     return state
 
 
-def fly(field, start, duration, heading=None, **options):
-    """The loop, and the states and commands that a flight logs."""
+def advance(field, start, duration, heading=None, **options):
+    """The diagram of a flight, its loop, and its Context at the end."""
     diagram = MakeFlightDiagram(field, speed=SPEED, **options)
     simulator = MakeSimulator(diagram)
     context = simulator.get_mutable_context()
@@ -60,6 +60,12 @@ def fly(field, start, duration, heading=None, **options):
         own = loop.guidance.GetMyMutableContextFromRoot(context)
         loop.guidance.SetHeading(own, heading)
     simulator.AdvanceTo(duration)
+    return diagram, loop, context
+
+
+def fly(*flight, **options):
+    """The loop, and the states and commands that a flight logs."""
+    diagram, loop, context = advance(*flight, **options)
     logs = ("state_log", "velocity_command_log", "propeller_force_log")
     found = [diagram.GetSubsystemByName(name).FindLog(context).data() for name in logs]
     return loop, np.concatenate(found)
@@ -87,6 +93,21 @@ def test_a_flight_is_that_of_two_systems(flown, options):
     two, expected = fly(flown, start, 0.4, heading, fused=False, **options)
     assert not isinstance(two.guidance, FusedGuidance)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("options", OPTIONS.values(), ids=OPTIONS)
+def test_the_loop_tells_what_it_does_with_two_systems(flight_field, options):
+    """At all of its ports, also those that no flight asks for."""
+    start, told = near(flight_field, np.random.default_rng(0)), []
+    for fused in (True, False):
+        _, loop, context = advance(flight_field, start, 0.1, fused=fused, **options)
+        own = loop.GetMyContextFromRoot(context)
+        ports = [loop.get_output_port(index) for index in range(loop.num_output_ports())]
+        told.append({port.get_name(): port.Eval(own) for port in ports})
+    assert {"measured_state", "position", *EVALUATED} - told[0].keys() == {"acceleration"}
+    assert told[0].keys() == told[1].keys()
+    for name, value in told[0].items():
+        np.testing.assert_allclose(value, told[1][name], rtol=0, atol=1e-9, err_msg=name)
 
 
 def evaluated(system, state, **inputs):

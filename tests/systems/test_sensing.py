@@ -8,14 +8,8 @@ from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoD
 from pydrake.common import RandomGenerator
 from pydrake.polynomial import Polynomial
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder, LeafSystem
-from pydrake.systems.primitives import (
-    ConstantVectorSource,
-    LogVectorOutput,
-    Multiplexer,
-    Multiplexer_,
-    TrajectorySource,
-)
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import ConstantVectorSource, LogVectorOutput, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 import pytest
 from scipy.signal import lfilter
@@ -23,7 +17,7 @@ from scipy.signal import lfilter
 from sgvf_drake.exceptions import ConfigurationError
 from systems import Dropout, IdealMotionCapture, MotionCapture, SensorParameters
 from systems.quadrotor import ATTITUDE, POSITION, RATES, VELOCITY
-from systems.sensing import Concatenation, DrawNoise
+from systems.sensing import DrawNoise
 
 NOISELESS = SensorParameters(position_noise=0.0, attitude_noise=0.0, rate_noise=0.0)
 PERIOD, ONBOARD_PERIOD = NOISELESS.sample_period, NOISELESS.onboard_period
@@ -325,76 +319,3 @@ def test_bad_loss_is_named():
     for entry in (-1, 4):
         with pytest.raises(ConfigurationError, match=f"no entry {entry} of 4"):
             Dropout(4, INTERVALS, [0, entry])
-
-
-# Concatenation beside Drake's Multiplexer: the same values, evaluated less often.
-
-SIZES = [3, 1, 2]
-
-
-def fix_parts(system, context, values):
-    for index, part in enumerate(np.split(values, np.cumsum(SIZES)[:-1])):
-        system.get_input_port(index).FixValue(context, part)
-
-
-def concatenated(system, values):
-    context = system.CreateDefaultContext()
-    fix_parts(system, context, values)
-    return system.get_output_port().Eval(context)
-
-
-class Counter(LeafSystem):
-    """Counts how often what depends on its input, and on nothing else, is evaluated."""
-
-    def __init__(self, size):
-        super().__init__()
-        self.calls = 0
-        port = self.DeclareVectorInputPort("input", size)
-
-        def calc(context, output):
-            self.calls += 1
-            output.SetFromVector(port.Eval(context))
-
-        self.DeclareVectorOutputPort(
-            "output", size, calc, {self.input_port_ticket(port.get_index())}
-        )
-
-
-def calls_in_three_times(system):
-    """How often what follows a system is evaluated at the start, at other times, anew."""
-    builder = DiagramBuilder()
-    builder.AddSystem(system)
-    counter = builder.AddSystem(Counter(sum(SIZES)))
-    builder.Connect(system.get_output_port(), counter.get_input_port())
-    diagram = builder.Build()
-    context = diagram.CreateDefaultContext()
-    own = system.GetMyMutableContextFromRoot(context)
-    port, found = counter.get_output_port(), []
-    for values in (np.arange(6.0), 1.0 + np.arange(6.0)):
-        fix_parts(system, own, values)
-        for time in (0.0, 0.5, 1.0):
-            context.SetTime(time)
-            result = port.Eval(counter.GetMyContextFromRoot(context))
-            np.testing.assert_array_equal(result, values)
-            found.append(counter.calls)
-    return found
-
-
-def test_values_and_derivatives_are_those_of_the_multiplexer():
-    values = np.random.default_rng(0).standard_normal(6)
-    expected = concatenated(Multiplexer(SIZES), values)
-    np.testing.assert_array_equal(concatenated(Concatenation(SIZES), values), expected)
-    x = InitializeAutoDiff(values)[:, 0]
-    found = concatenated(Concatenation(SIZES).ToAutoDiffXd(), x)
-    expected = concatenated(Multiplexer_[type(x[0])](SIZES), x)
-    np.testing.assert_array_equal(ExtractValue(found), ExtractValue(expected))
-    np.testing.assert_array_equal(ExtractGradient(found), ExtractGradient(expected))
-
-
-def test_it_is_evaluated_only_when_an_input_changes():
-    assert calls_in_three_times(Concatenation(SIZES)) == [1, 1, 1, 2, 2, 2]
-
-
-def test_a_multiplexer_is_evaluated_at_every_time():
-    # The reason for a system of our own: when this fails, Drake's will do.
-    assert calls_in_three_times(Multiplexer(SIZES)) == [1, 2, 3, 4, 5, 6]

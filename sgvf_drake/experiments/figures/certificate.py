@@ -10,7 +10,7 @@ from matplotlib.path import Path
 import numpy as np
 
 from sgvf_drake import plotting
-from sgvf_drake.arrays import Box, FloatArray, plane_grid
+from sgvf_drake.arrays import Box, plane_grid
 from sgvf_drake.certificate import Certificate, Levels
 from sgvf_drake.certificate.tube import corners
 from sgvf_drake.experiments.figures.tracking import FLIGHT_COLORS, color_of
@@ -119,7 +119,8 @@ def _plot_map(
         axes.plot(*found.counterexample, "X", color=plotting.RED, markersize=9)
     plotting.plane_axes(axes, plotting.UNIT)
     axes.set(xlim=(box[0][0], box[1][0]), ylim=(box[0][1], box[1][1]))
-    axes.legend(handles=handles, **(BELOW | {"ncols": 1}))
+    if any(found.walls):
+        axes.legend(handles=handles, **(BELOW | {"ncols": 1}))
 
 
 def _plot_walls(axes: Axes, field: GuidingField, found: Certificate) -> None:
@@ -131,11 +132,7 @@ def _plot_walls(axes: Axes, field: GuidingField, found: Certificate) -> None:
         )
         axes.add_patch(PathPatch(between, facecolor=FALLS, edgecolor="none", alpha=0.7))
         for wall in (*left, *right):
-            axes.plot(*_closed(wall).T, color=WALL_COLOR, linewidth=0.5)
-
-
-def _closed(polygon: FloatArray) -> FloatArray:
-    return np.concatenate([polygon, polygon[:1]])
+            axes.fill(*wall.T, fill=False, edgecolor=WALL_COLOR, linewidth=0.5)
 
 
 def _plot_levels(axes: Axes, field: GuidingField, levels: Levels, box: Box) -> None:

@@ -1,6 +1,4 @@
-"""The figure of the velocity error in flight, and errors over V as any figure draws them."""
-
-from collections.abc import Sequence
+"""The figure of the velocity error in flight over time and over V."""
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -22,7 +20,7 @@ def tracking_figure(result: TrackingResult) -> Figure:
     levels, e_star = result.margins.levels, np.maximum(result.margins.e_star, 0.0)
     axes[1].plot(levels, e_star, color="black", linewidth=1.5, label="tolerated, e*")
     axes[1].fill_between(levels, e_star, color="black", alpha=0.1)
-    draw_errors(axes[1], result.flights, result.c_in, levels[-1])
+    _draw_over_V(axes[1], result)
     for level, text in ((result.c_in, "$c_{in}$"), (result.level, "level")):
         axes[1].axvline(level, color=plotting.GREY, linewidth=0.9)
         axes[1].annotate(text, (level, 0.02), xycoords=("data", "axes fraction"))
@@ -31,19 +29,10 @@ def tracking_figure(result: TrackingResult) -> Figure:
     return figure
 
 
-def draw_errors(
-    axes: Axes, flights: Sequence[VelocityErrors], c_in: float, highest: float
-) -> None:
-    """Draws the velocity errors of flights over V on logarithmic axes, as parts of the speed.
-
-    Args:
-        axes: Show what the levels tolerate already.
-        flights: The take-off, the way to the tube and the rest of each look different.
-        c_in: The border of the tube.
-        highest: The highest level of V that is known.
-    """
-    lowest = LOWEST_V * c_in
-    for flight in flights:
+def _draw_over_V(axes: Axes, result: TrackingResult) -> None:  # noqa: N802
+    """Draws the errors over V; the take-off, the way to the tube and the rest differ."""
+    lowest = LOWEST_V * result.c_in
+    for flight in result.flights:
         V = np.maximum(flight.log["V"], lowest)
         error = np.maximum(flight.log["error"], LOWEST_ERROR)
         taking_off = ~flight.settled & (flight.log["time"] < TAKE_OFF_S)
@@ -57,7 +46,7 @@ def draw_errors(
     axes.set(
         xscale="log",
         yscale="log",
-        xlim=(lowest, 1.5 * highest),
+        xlim=(lowest, 1.5 * result.margins.levels[-1]),
         ylim=(LOWEST_ERROR, 1.5),
         xlabel="V",
         ylabel="velocity error and what is tolerated, parts of the speed",

@@ -41,6 +41,7 @@ class Recipe(ABC):
     Attributes:
         name: As it is asked for.
         defaults: Values of the options of `TrainingConfig`; others follow from the cloud.
+        in_space: Those that are others for a field of the position alone in space.
         strand_defaults: The same for directed fields; None: it learns none.
         refused: Options that mean nothing in it, and why.
         learns_score: Whether it trains a score network.
@@ -51,6 +52,7 @@ class Recipe(ABC):
 
     name: ClassVar[str]
     defaults: ClassVar[Mapping[str, Any]]
+    in_space: ClassVar[Mapping[str, Any]] = MappingProxyType({})
     strand_defaults: ClassVar[Mapping[str, Any] | None] = None
     refused: ClassVar[Mapping[str, str]] = MappingProxyType({})
     learns_score: ClassVar[bool] = True

@@ -46,10 +46,13 @@ class RobustRecipe(Recipe):
         "hint_weight": HINT_WEIGHT,
         "projection": True,
     }
+    # The network of a score in the plane is too small for one in space, whose error was nearly
+    # all of the error of its field; one as large as that of (x, g) is not.
+    in_space: ClassVar = {"num_frequencies": 96, "score_hidden": (128, 128, 128)}
     strand_defaults: ClassVar = defaults | {
         "num_frequencies": 96,
         "tangent_hidden": (128, 128, 128),
-        "tangent_iterations": 1_000,
+        "tangent_iterations": 1_500,
     }
 
     def fit(

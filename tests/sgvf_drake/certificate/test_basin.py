@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 from sgvf_drake import certify
 from sgvf_drake.certificate import find_basin, prove_basin
-from sgvf_drake.certificate.basin import Facts, _graph, _Known
+from sgvf_drake.certificate.basin import LEAST, MOST, _graph, _Known, facts_of
 from sgvf_drake.certificate.boxes import Boxes
 from sgvf_drake.certificate.cells import COUNT, DEPTH, HALF, ROOT, SIDES, UNIT, Cells
 
@@ -186,12 +186,13 @@ def test_facts_of_squares_hold_the_field(robust_field):
     boxes = cells.boxes
     chosen = rng.choice(len(cells), 400, replace=False)
     some = Boxes(boxes.centers[chosen], boxes.half[chosen])
-    facts = Facts.of(robust_field, some)
+    facts = facts_of(robust_field, some)
+    least, most = facts[:, LEAST], facts[:, MOST]
     for k, (axis, sign) in enumerate(SIDES):
         z = some.centers[:, None] + some.half[:, None, None] * rng.uniform(-1, 1, (400, 20, 2))
         z[..., axis] = (some.centers[:, axis] + sign * some.half)[:, None]
         m = robust_field(robust_field.cloud.denormalize(z.reshape(-1, 2))).reshape(z.shape)
-        positive, negative = facts.least[:, k] > 0, facts.most[:, k] < 0
+        positive, negative = least[:, k] > 0, most[:, k] < 0
         assert (m[positive][..., axis] > 0).all()
         assert (m[negative][..., axis] < 0).all()
         assert min(positive.sum(), negative.sum()) > 50

@@ -4,6 +4,7 @@ from dataclasses import replace
 import json
 import math
 
+from matplotlib.patches import Polygon
 import numpy as np
 import pandas as pd
 import pytest
@@ -345,9 +346,10 @@ def test_the_figure_holds_the_flight_the_walls_and_its_errors(certified, flown):
     plane, near, errors = figure.axes
     for axes in (plane, near):
         assert axes.get_aspect() == 1.0
-        *walls, _, flight, _ = axes.get_lines()
-        for line, radius in zip(walls, (3.9, 3.7, 3.2, 4.1, 4.3, 4.8), strict=True):
-            np.testing.assert_allclose(np.hypot(*line.get_data()), radius)
+        _, flight, _ = axes.get_lines()
+        walls = [patch for patch in axes.patches if isinstance(patch, Polygon)]
+        for wall, radius in zip(walls, (3.9, 3.7, 3.2, 4.1, 4.3, 4.8), strict=True):
+            np.testing.assert_allclose(np.hypot(*wall.get_xy().T), radius)
         np.testing.assert_allclose(np.hypot(*flight.get_data())[-100:], 4.0, atol=0.05)
     # The window from near holds the place where the flight came between the walls.
     x, y = margin.positions[margin.settled][0]

@@ -135,6 +135,20 @@ def test_the_values_of_the_recipes():
         assert settings.weights == weights
 
 
+def test_a_score_in_space_has_a_larger_network_and_longer_to_learn():
+    for recipe in RECIPES:
+        config = TrainingConfig(recipe=recipe)
+        plane, space = (asdict(config.resolved(SIGMA, dim=dim)) for dim in (2, 3))
+        assert plane == asdict(config.resolved(SIGMA))
+        others = {name for name, value in plane.items() if space[name] != value}
+        if recipe == "robust":
+            assert others == {"num_frequencies", "score_hidden", "score_iterations"}
+            assert space["score_hidden"] == (128, 128, 128)
+        if recipe != "paper":
+            assert space["score_iterations"] == 1.5 * plane["score_iterations"]
+    assert asdict(TrainingConfig(**GIVEN).resolved(SIGMA, dim=3)) == GIVEN
+
+
 def test_a_restart_grows_what_is_learned_with():
     settings = TrainingConfig(**GIVEN).resolved(SIGMA)
     assert settings.grown(0) == settings

@@ -14,7 +14,7 @@ from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments.follow import follow_network
 from sgvf_drake.fields import DirectedField, StrandMixture, StrandNetwork, load_field
 from sgvf_drake.learning import TrainingConfig, train
-from sgvf_drake.learning.directed import HeadingNetwork, strand_loss
+from sgvf_drake.learning.directed import HeadingNetwork, strand_loss, strand_target
 from sgvf_drake.learning.route_check import check_directed
 from sgvf_drake.learning.strands import find_strands
 from sgvf_drake.learning.support import SIGMA_DEFAULT, WIDEST_GAP
@@ -118,6 +118,25 @@ def test_the_mixture_itself_has_no_loss(name: str) -> None:
     mixture = find_strands(cloud, find_paths(cloud)).mixture
     terms = strand_loss(Oracle(mixture), mixture)()  # type: ignore[arg-type]
     assert all(term.item() < 1e-6 for term in terms.values())
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("sigma", [0.1, 0.02])
+def test_the_target_is_the_mixture_of_both_kinds_of_strand(
+    dim: int, share: float, sigma: float
+) -> None:
+    rng = np.random.default_rng(0)
+    points, directions = rng.uniform(-4, 4, (300, dim)), rng.normal(size=(300, dim))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    mixture = StrandMixture(points, directions, rng.uniform(size=300) < share, sigma)
+    # In float32 as the target, which is off by its rounding of |x|^2 / sigma^2.
+    x = (points[:200] + 2 * sigma * rng.normal(size=(200, dim))).astype(np.float32)
+    g = directions[rng.integers(300, size=200)].astype(np.float32)
+    output = strand_target(mixture)(torch.as_tensor(x), torch.as_tensor(g)).numpy()
+    S, N = mixture(x.astype(float), g.astype(float))
+    expected = np.concatenate([sigma * S, N], axis=1)
+    np.testing.assert_allclose(output, expected, atol=1e-7 * 4 * 50 / sigma**2 + 1e-5)
 
 
 @pytest.mark.parametrize("name", ["T", "X", "eight", "roundabout"])
