@@ -32,7 +32,13 @@ from sgvf_drake.fields import (
 from sgvf_drake.paths import SHAPES, PathNetwork, ReferencePath, make_shape, shape_path
 
 if TYPE_CHECKING:
-    from sgvf_drake.certificate import Certificate, certify, enclose_zeros
+    from sgvf_drake.certificate import (
+        Certificate,
+        NetworkCertificate,
+        certify,
+        certify_network,
+        enclose_zeros,
+    )
     from sgvf_drake.learning import SelfCheck, TrainingConfig, TrainingResult, train
     from sgvf_drake.lyapunov import LyapunovFunction, find_singularities, verify
     from sgvf_drake.paths.finding import find_paths
@@ -44,7 +50,10 @@ _LATER = {
     "find_paths": "paths.finding",
     **dict.fromkeys(("SelfCheck", "TrainingConfig", "TrainingResult", "train"), "learning"),
     **dict.fromkeys(("LyapunovFunction", "find_singularities", "verify"), "lyapunov"),
-    **dict.fromkeys(("Certificate", "certify", "enclose_zeros"), "certificate"),
+    **dict.fromkeys(
+        ("Certificate", "NetworkCertificate", "certify", "certify_network", "enclose_zeros"),
+        "certificate",
+    ),
 }
 
 __all__ = [
@@ -57,6 +66,7 @@ __all__ = [
     "GaussianMixture",
     "GuidingField",
     "LyapunovFunction",
+    "NetworkCertificate",
     "NonFiniteValueError",
     "OutputExistsError",
     "PathNetwork",
@@ -68,6 +78,7 @@ __all__ = [
     "TrainingConfig",
     "TrainingResult",
     "certify",
+    "certify_network",
     "enclose_zeros",
     "find_paths",
     "find_singularities",

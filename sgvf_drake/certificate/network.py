@@ -7,6 +7,7 @@ from typing import Any
 
 from sgvf_drake.certificate.document import Document, bounds_hold
 from sgvf_drake.certificate.legs import Disk, Leg
+from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import DirectedField
 from sgvf_drake.paths.automaton import Automaton
 
@@ -25,31 +26,45 @@ class EdgeDisks:
     guards: tuple[int, ...]
     disks: tuple[Disk | None, ...]
 
+    def are_at(self, count: int, dim: int) -> bool:
+        """Whether they are at guards from the first to the last of so many, in so many axes."""
+        ends = (self.guards[:1], self.guards[-1:])
+        return (
+            len(self.guards) == len(self.disks)
+            and ends == ((0,), (count - 1,))
+            and all(one < other for one, other in pairwise(self.guards))
+            and all(disk is None or len(disk) == dim for disk in self.disks)
+        )
+
     @classmethod
     def of(cls, body: Mapping[str, Any]) -> "EdgeDisks":
         """Returns those of a JSON object."""
-        disks = (
-            None if disk is None else tuple(tuple(map(_whole, row)) for row in disk)
-            for disk in body["disks"]
-        )
+        disks = tuple(None if disk is None else _disk(disk) for disk in body["disks"])
         guards = tuple(map(_whole, body["guards"]))
-        return cls(_whole(body["number"]), guards, tuple(disks))
+        return cls(_whole(body["number"]), guards, disks)
 
 
 def automaton_of(field: DirectedField, disks: Iterable[EdgeDisks]) -> Automaton:
     """Returns the automaton of a field that has its guards at disks.
 
     Raises:
-        ValueError: If the disks are not at guards of every edge of its network, from the first
-            to the last.
+        ConfigurationError: The disks are not at guards of every edge of its network, from the
+            first to the last, or not of its space.
     """
     automaton = Automaton.of(field.network, field.memory_length)
     of = {own.number: own for own in disks}
-    if of.keys() != automaton.edges.keys() or any(
-        len(own.guards) != len(own.disks) for own in of.values()
+    if of.keys() != automaton.edges.keys() or not all(
+        own.are_at(len(automaton.edges[number].guards), field.dim) for number, own in of.items()
     ):
-        raise ValueError("the disks are not those of the network")
+        raise ConfigurationError("the certificate has not the disks of this network")
     return automaton.keeping({number: own.guards for number, own in of.items()})
+
+
+def _disk(body: Sequence[Sequence[object]]) -> Disk:
+    disk = tuple(tuple(map(_whole, row)) for row in body)
+    if len(disk) not in (2, 3) or any(len(row) != len(disk) for row in disk):
+        raise ValueError("a disk is two rows of two numbers, or three of three")
+    return disk
 
 
 def _whole(value: object) -> int:

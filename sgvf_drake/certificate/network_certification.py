@@ -68,8 +68,8 @@ def check_network(
         What was proved; it is certified where it is as strong as what was claimed.
 
     Raises:
-        ConfigurationError: The certificate is that of another field, or of a route that its
-            network does not have.
+        ConfigurationError: The certificate is that of another field, or of another network, or
+            of a route that its network does not have.
         RuntimeError: The process does not round to nearest.
     """
     if certificate.field_digest != field_digest(field):
@@ -78,11 +78,9 @@ def check_network(
     claimed = {stretch.place: stretch for stretch in certificate.stretches}
 
     def known(place: Place) -> list[ProvedLeg] | Obstacle:
-        claim = claimed.get(place)
-        if claim is None or not claim.legs:
-            reason = "nothing is claimed" if claim is None else claim.reason
-            where = None if claim is None else claim.where
-            return Obstacle(reason or "", where or ())
+        claim = claimed.get(place, Stretch(place, reason="nothing is claimed of it"))
+        if not claim.legs or any(len(leg.direction) != field.dim for leg in claim.legs):
+            return Obstacle(claim.reason or OPEN, claim.where or ())
         return [prove_leg(field, leg) for leg in claim.legs]
 
     with threadpool_limits(**ONE_THREAD):

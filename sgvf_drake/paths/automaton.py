@@ -50,8 +50,6 @@ class EdgeCut:
     def keeping(self, guards: Sequence[int]) -> "EdgeCut":
         """Returns the cut with some of its guards; see `Automaton.keeping`."""
         kept = np.array(guards)
-        if kept[0] != 0 or kept[-1] != len(self.directions) or (np.diff(kept) < 1).any():
-            raise ValueError(f"{guards} are not guards from the first to the last")
         return replace(self, guards=self.guards[kept], directions=self.directions[kept[1:] - 1])
 
     def at(self, arc: float) -> FloatArray:
@@ -102,10 +100,8 @@ class Automaton:
         last guard that is kept on.
 
         Args:
-            guards: Of each edge the places of the guards that are kept, from 0.
-
-        Raises:
-            ValueError: If they do not lead from the first guard of an edge to its last.
+            guards: Of each edge the places of the guards that are kept, from 0; the first and
+                the last among them.
         """
         return Automaton(
             {number: cut.keeping(guards[number]) for number, cut in self.edges.items()},

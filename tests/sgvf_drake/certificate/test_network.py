@@ -11,11 +11,14 @@ from sgvf_drake.certificate import NetworkCertificate, certify_network, check_ne
 from sgvf_drake.certificate.legs import Leg, are_chained, lies_in
 from sgvf_drake.certificate.network import Place
 from sgvf_drake.certificate.tube import TICK, Tube
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.learning import TrainingConfig, train
 from sgvf_drake.paths.itinerary import Itinerary, successors
 from sgvf_drake.paths.navigator import Navigator
 from sgvf_drake.paths.planning import covering
 from tests.conftest import directed_field
+from tests.helpers import circle
 
 
 @pytest.fixture(scope="module")
@@ -55,8 +58,8 @@ def passed(field, leg, start):
     for section in [*leg.tube.sections[5:-3:8], leg.tube.sections[-1]]:
 
         def ahead(_, z, section=section):
-            off = coordinates(section, z[None])[0]
-            return off[0] if np.abs(off[1:]).max() < 3 else -1.0
+            near = np.linalg.norm(z - TICK * np.array(section[0])) < 0.1
+            return coordinates(section, z[None])[0, 0] if near else -1.0
 
         ahead.terminal, ahead.direction = True, 1.0
         tolerances = {"rtol": 1e-8, "atol": 1e-9, "max_step": 0.02}
@@ -212,6 +215,12 @@ def test_a_bound_that_is_not_proved_is_refused(tee):
     assert not check_network(replace(found, stretches=(short, *others)), field).certified
 
 
+def test_disks_of_another_network_are_refused(tee):
+    field, found = tee
+    with pytest.raises(ConfigurationError, match="the disks of this network"):
+        check_network(replace(found, disks=found.disks[1:]), field)
+
+
 def test_a_certificate_of_another_field_is_refused(tee, eight):
     with pytest.raises(ConfigurationError, match="another field"):
         check_network(tee[1], eight[0])
@@ -295,3 +304,32 @@ def test_robots_in_space_take_turns_in_the_time_that_is_proved(spatial):
     assert found.certified
     for turn in found.turns:
         assert_robots_are_within(field, found, [turn])
+
+
+@pytest.mark.full
+def test_a_loop_without_a_node_returns_into_itself():
+    """A circle of radius 2 beside a cross: its lap is 4 pi."""
+    line = np.linspace(-2, 2, 100)
+    cross = np.concatenate([np.column_stack([line, sign * line]) for sign in (1, -1)])
+    points = np.concatenate([circle(2.0, 150) - [7.0, 0.0], cross])
+    field = train(PointCloud(points), TrainingConfig(recipe="exact", max_restarts=0)).field
+    number = 1 + next(k for k, e in enumerate(field.network.edges) if e.nodes is None)
+    found = certify_network(field, Itinerary.along([number], field.network))
+    assert found.certified
+    assert found.route_closed
+    assert found.route_time_low < 4 * np.pi < found.route_time_high
+    assert_robots_are_within(field, found, found.along(found.route, closed=True))
+
+
+@pytest.mark.full
+def test_an_open_path_that_crosses_itself_leads_to_rest():
+    u = np.linspace(-1.25, 1.25, 300)
+    points = np.column_stack([3 * u**2 - 3, 4.8 * (u**3 - u)])
+    field = train(PointCloud(points), TrainingConfig(recipe="exact", max_restarts=0)).field
+    found = certify_network(field, covering(field.network))
+    (end,) = found.ends
+    assert found.certified
+    assert not found.route_closed
+    assert end.proved
+    assert end.place.before == found.route[-1]
+    assert check_network(found, field).certified

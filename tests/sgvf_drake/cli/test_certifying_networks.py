@@ -54,8 +54,8 @@ def test_a_route_is_certified(run, tee_file, tee_field, route, tmp_path, capsys)
 def test_what_is_not_proved_ends_in_status_1_and_is_told(
     run, tee_file, tee_field, tmp_path, capsys, monkeypatch
 ):
-    """Disks so wide that no tube leads from one to the next."""
-    monkeypatch.setattr("sgvf_drake.certificate.network_search.HALF_WIDTH", 3.0)
+    """No tube is tried."""
+    monkeypatch.setattr("sgvf_drake.certificate.leg_search.INFLOWS", ())
     out = tmp_path / "out"
     assert run("certify", tee_file, "--out", out) == 1
     summary = summary_of(out)
