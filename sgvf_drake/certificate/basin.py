@@ -38,6 +38,8 @@ DIRECTIONS = np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1)
 # What is known of m on a square, but for a positive factor: of its part across each of `SIDES`,
 # along the axis of that, at least and at most; and of m . u for each direction, at least.
 LEAST, MOST, ALONG = slice(0, 4), slice(4, 8), slice(8, 8 + len(DIRECTIONS))
+# And whether div m > 0 on it, 1 or 0: asked where robots may stay.
+GROWS = ALONG.stop
 # Squares that are asked about at once.
 CHUNK = 1000
 # Sets in which robots may stay are divided as a whole while they are more than this part of the
@@ -90,6 +92,64 @@ class Basin:
     almost: float
     excluded: tuple[ExcludedSet, ...]
     evaluated: int
+
+
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """Squares and what is known of them.
+
+    Attributes:
+        cells: The squares.
+        goal: (n,) which are between walls.
+        facts: (n, 9 + u) of the others; NaN of these, and where nothing was asked yet.
+    """
+
+    cells: Cells
+    goal: BoolArray
+    facts: FloatArray
+
+    @classmethod
+    def of(cls, field: GuidingField, cells: Cells, walls: Sequence[Walls]) -> "_Known":
+        """Finds out about squares."""
+        boxes, goal = cells.boxes, np.zeros(len(cells), bool)
+        for one in walls:
+            goal |= one.hold(boxes)[0]
+        facts, asked = np.full((len(cells), 1 + GROWS), np.nan), boxes[~goal]
+        chunks = (asked[first : first + CHUNK] for first in range(0, len(asked), CHUNK))
+        facts[~goal, :GROWS] = np.concatenate(
+            [np.empty((0, GROWS)), *(facts_of(field, chunk) for chunk in chunks)]
+        )
+        return cls(cells, goal, facts)
+
+    def growing(self, field: GuidingField, rows: BoolArray) -> BoolArray:
+        """Tells on which of some squares (n,) div m > 0; each is asked once."""
+        unknown = rows & np.isnan(self.facts[:, GROWS])
+        self.facts[unknown, GROWS] = _grows(field, self.cells[unknown].boxes)
+        return rows & (self.facts[:, GROWS] == 1)
+
+    @property
+    def evaluated(self) -> int:
+        """Over how many squares the field was bounded."""
+        return int((~self.goal).sum())
+
+    def replaced(self, rows: BoolArray, other: "_Known") -> "_Known":
+        """Returns what is known of these squares, but for other ones in the place of some."""
+        return _Known(
+            self.cells[~rows].joined(other.cells),
+            np.concatenate([self.goal[~rows], other.goal]),
+            np.concatenate([self.facts[~rows], other.facts]),
+        )
+
+
+def facts_of(field: GuidingField, boxes: Boxes) -> FloatArray:
+    """Returns what is known of m on squares, by the columns above, (n, 8 + u)."""
+    # What overflows is not above any bound, nor below one.
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        m = direction_model(field, boxes.patches)
+        sides = [m.functions(slice(axis, axis + 1)).at_end(axis, sign) for axis, sign in SIDES]
+        along = [m.weighted(np.broadcast_to(u, m.value.shape)).lower for u in DIRECTIONS]
+        least, most = [side.lower for side in sides], [side.upper for side in sides]
+        return np.concatenate([*least, *most, *along], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +206,7 @@ def find_basin(
     for number in range(ROUNDS):
         progress("cells", number, ROUNDS)
         graph = _graph(known)
-        divisible = _staying(field, known.cells, graph)
+        divisible = _staying(field, known, graph)
         if not divisible.any():
             before, leads = lost, ~graph.goal & graph.leads_to(graph.stays | graph.out)
             lost = _part_of_box(field, known.cells, leads)
@@ -157,15 +217,15 @@ def find_basin(
         evaluated += parts.evaluated
         known = known.replaced(divisible, parts)
     progress("cells", ROUNDS, ROUNDS)
-    return replace(_basin(field, known.cells, graph), evaluated=evaluated)
+    return replace(_basin(field, known, graph), evaluated=evaluated)
 
 
-def _staying(field: GuidingField, cells: Cells, graph: _Graph) -> BoolArray:
+def _staying(field: GuidingField, known: _Known, graph: _Graph) -> BoolArray:
     """Tells which squares (n,) to divide of those where robots may stay."""
-    found = graph.stays & (cells.size > 1)
-    if _part_of_box(field, cells, found) <= FEW:
-        found[found] = ~_grows(field, cells[found].boxes)
-    return found
+    found = graph.stays & (known.cells.size > 1)
+    if _part_of_box(field, known.cells, found) > FEW:
+        return found
+    return found & ~known.growing(field, found)
 
 
 def prove_basin(field: GuidingField, cells: Cells, walls: Sequence[Walls]) -> Basin:
@@ -176,7 +236,8 @@ def prove_basin(field: GuidingField, cells: Cells, walls: Sequence[Walls]) -> Ba
         cells: Squares that cover the box.
         walls: Walls that are proved.
     """
-    return _basin(field, cells, _graph(_Known.of(field, cells, walls)))
+    known = _Known.of(field, cells, walls)
+    return _basin(field, known, _graph(known))
 
 
 def _around(walls: Sequence[Walls]) -> Cells:
@@ -192,58 +253,6 @@ def _around(walls: Sequence[Walls]) -> Cells:
                 break
             cells = cells[~coarse].joined(cells[coarse].quarters())
     return cells
-
-
-@dataclass(frozen=True, eq=False)
-class _Known:
-    """Squares and what is known of them.
-
-    Attributes:
-        cells: The squares.
-        goal: (n,) which are between walls.
-        facts: (n, 8 + u) of the others; NaN of these.
-    """
-
-    cells: Cells
-    goal: BoolArray
-    facts: FloatArray
-
-    @classmethod
-    def of(cls, field: GuidingField, cells: Cells, walls: Sequence[Walls]) -> "_Known":
-        """Finds out about squares."""
-        boxes, goal = cells.boxes, np.zeros(len(cells), bool)
-        for one in walls:
-            goal |= one.hold(boxes)[0]
-        facts, asked = np.full((len(cells), ALONG.stop), np.nan), boxes[~goal]
-        chunks = (asked[first : first + CHUNK] for first in range(0, len(asked), CHUNK))
-        facts[~goal] = np.concatenate(
-            [np.empty((0, ALONG.stop)), *(facts_of(field, chunk) for chunk in chunks)]
-        )
-        return cls(cells, goal, facts)
-
-    @property
-    def evaluated(self) -> int:
-        """Over how many squares the field was bounded."""
-        return int((~self.goal).sum())
-
-    def replaced(self, rows: BoolArray, other: "_Known") -> "_Known":
-        """Returns what is known of these squares, but for other ones in the place of some."""
-        return _Known(
-            self.cells[~rows].joined(other.cells),
-            np.concatenate([self.goal[~rows], other.goal]),
-            np.concatenate([self.facts[~rows], other.facts]),
-        )
-
-
-def facts_of(field: GuidingField, boxes: Boxes) -> FloatArray:
-    """Returns what is known of m on squares, by the columns above, (n, 8 + u)."""
-    # What overflows is not above any bound, nor below one.
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        m = direction_model(field, boxes.patches)
-        sides = [m.functions(slice(axis, axis + 1)).at_end(axis, sign) for axis, sign in SIDES]
-        along = [m.weighted(np.broadcast_to(u, m.value.shape)).lower for u in DIRECTIONS]
-        least, most = [side.lower for side in sides], [side.upper for side in sides]
-        return np.concatenate([*least, *most, *along], axis=1)
 
 
 def _graph(known: _Known) -> _Graph:
@@ -280,11 +289,10 @@ def _moves(labels: IntArray, facts: FloatArray) -> BoolArray:
     return np.asarray((least > 0).any(axis=1))
 
 
-def _basin(field: GuidingField, cells: Cells, graph: _Graph) -> Basin:
+def _basin(field: GuidingField, known: _Known, graph: _Graph) -> Basin:
     """Returns what a graph says of the box."""
+    cells, grows = known.cells, known.growing(field, graph.stays)
     numbers, of_set = np.unique(graph.labels[graph.stays], return_inverse=True)
-    grows = np.zeros(len(cells), bool)
-    grows[graph.stays] = _grows(field, cells[graph.stays].boxes)
     left = np.bincount(of_set, ~grows[graph.stays]) == 0
     never = graph.stays.copy()
     never[graph.stays] = ~left[of_set]
