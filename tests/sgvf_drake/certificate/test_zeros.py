@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 from sgvf_drake.certificate import enclose_zeros
 from sgvf_drake.certificate.boxes import Boxes, Division
@@ -11,11 +12,19 @@ from sgvf_drake.certificate.field_model import TAYLOR, model_field, simplify
 from sgvf_drake.certificate.isolation import isolate
 from sgvf_drake.certificate.patches import Patches
 from sgvf_drake.certificate.taylor_model import DualModel, TaylorModel
-from sgvf_drake.certificate.zeros import HALF_WIDTH, _distinct, _grid, proved_winding_number
+from sgvf_drake.certificate.zeros import (
+    HALF_WIDTH,
+    _distinct,
+    _grid,
+    _kinds,
+    proved_winding_number,
+)
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import NormalisedComposition, Perceptron
 from sgvf_drake.fields.activation import find_activation
-from sgvf_drake.lyapunov import find_guiding_zeros, find_singularities
+from sgvf_drake.learning import TrainingConfig, train
+from sgvf_drake.lyapunov import find_guiding_zeros, find_singularities, kind_of
+from tests.fields import linear_network, tilted_circle
 
 FULL, SLOWER = pytest.mark.full, [("paper", 5), ("exact", 4)]
 TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
@@ -248,5 +257,81 @@ def test_what_nothing_bounds_is_refused(make_field):
     for field in (kinked, make_field("robust", ends=1)):
         with pytest.raises(ConfigurationError, match="smooth fields of closed paths"):
             enclose_zeros(field)
-    with pytest.raises(ConfigurationError, match="planar"):
-        enclose_zeros(make_field("robust", dim=3))
+
+
+@pytest.fixture
+def coarse(monkeypatch):
+    """First cubes so large that a field without a curve is done in no time."""
+    monkeypatch.setattr("sgvf_drake.certificate.zeros.FIRST", HALF_WIDTH / 8)
+
+
+SPIRAL = block_diag(TURN, 0.0)
+MIX = np.array([[1.0, 0.4, 0.2], [-0.3, 1.0, 0.5], [0.1, -0.6, 1.0]])
+
+
+@pytest.mark.parametrize(
+    ("matrix", "expected"),
+    [
+        (np.diag([1.0, 2.0, 3.0]), ("source", False, 1)),
+        (np.diag([-1.0, -2.0, -3.0]), ("sink", True, -1)),
+        (np.diag([-1.0, -2.0, 3.0]), ("saddle", False, 1)),
+        (np.diag([-1.0, 2.0, 3.0]), ("saddle", False, -1)),
+        (SPIRAL - np.eye(3), ("focus", True, -1)),
+        (SPIRAL + np.diag([0.1, 0.1, 2.0]), ("focus", False, 1)),
+        (SPIRAL + np.diag([0.1, 0.1, -2.0]), ("saddle", False, -1)),
+        # Rounding makes something else of what does not turn in or out.
+        (SPIRAL + np.diag([0.0, 0.0, -2.0]), ("unknown", None, -1)),
+    ],
+)
+def test_the_zero_of_a_linear_field_in_space(make_field, coarse, matrix, expected):
+    z = np.array([0.3, -0.7, 1.1])
+    network = linear_network(MIX @ matrix @ np.linalg.inv(MIX), z)
+    field = replace(make_field("paper", dim=3), tangent_network=network)
+    found = enclose_zeros(field, "tangent")
+    (zero,) = found.zeros
+    assert (zero.kind, zero.stable, zero.index) == expected
+    assert (np.abs(zero.point - field.cloud.denormalize(z)) <= zero.radius).all()
+    assert zero.radius < 1e-9
+    assert found.complete
+    assert found.winding_number is None
+    assert found.points.shape == (1, 3)
+
+
+def test_kinds_in_space_are_those_that_eigenvalues_tell():
+    J = np.random.default_rng(5).standard_normal((500, 3, 3))
+    slopes = [TaylorModel(J[:, None, :, i].copy(), np.zeros((500, 3))) for i in range(3)]
+    found = _kinds(DualModel(slopes[0], tuple(slopes)), np.sign(np.linalg.det(J)))
+    kinds = [kind_of(matrix) for matrix in J]
+    assert [kind for kind, _ in found] == kinds
+    assert set(kinds) == {"source", "sink", "saddle", "focus"}
+    largest = np.linalg.eigvals(J).real.max(axis=1)
+    assert [stable for _, stable in found] == (largest < 0).tolist()
+
+
+def test_what_would_need_too_many_cubes_is_left_undecided(make_field, coarse, monkeypatch):
+    monkeypatch.setattr("sgvf_drake.certificate.zeros.MOST_CUBES", 5_000)
+    # Zeros all along a line.
+    network = linear_network(SPIRAL, np.zeros(3))
+    field = replace(make_field("paper", dim=3), tangent_network=network)
+    found = enclose_zeros(field, "tangent")
+    assert found.boxes <= 5_000
+    assert found.undecided > 0
+    assert found.zeros == ()
+
+
+@pytest.mark.full
+def test_a_circle_in_space_has_one_zero():
+    """At its centre, by symmetry; of a trained field close to it, and it is the one found."""
+    exact = tilted_circle()[0]
+    (zero,) = enclose_zeros(exact).zeros
+    assert (np.abs(zero.point) <= zero.radius).all()
+    assert (zero.kind, zero.index, zero.stable) == ("saddle", -1, False)
+    field = train(exact.cloud, TrainingConfig(recipe="robust", seed=0)).field
+    proved, found = enclose_zeros(field), find_guiding_zeros(field)
+    assert proved.complete
+    assert len(proved.zeros) == len(found.zeros) > 0
+    for zero, same in zip(proved.zeros, found.zeros, strict=True):
+        assert (np.abs(zero.point - same.point) <= zero.radius + 1e-9).all()
+        assert (zero.index, zero.kind, zero.stable) == (same.index, same.kind, same.stable)
+    # Both point inward on the border, where their indices add up to (-1)^3.
+    assert proved.index_sum == -1
