@@ -21,7 +21,7 @@ def size_of_determinant(J: FloatArray) -> FloatArray:
 
 
 def adjugate(J: FloatArray) -> FloatArray:
-    """Returns the inverses of matrices times their determinants, (n, d, d)."""
+    """Returns the inverses of matrices times their determinants, (n, d, d); d is 2 or more."""
     found = np.empty(J.shape)
     for i, j in product(range(J.shape[1]), repeat=2):
         found[:, i, j] = (-1.0) ** (i + j) * determinant(_minor(J, j, i))
