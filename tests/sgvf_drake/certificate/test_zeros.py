@@ -1,6 +1,7 @@
 """Lists of zeros that are proved: complete, of the right kinds, silent where they must be."""
 
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from sgvf_drake.certificate.zeros import (
     _distinct,
     _grid,
     _kinds,
+    _Vanishing,
     proved_winding_number,
 )
 from sgvf_drake.exceptions import ConfigurationError
@@ -219,7 +221,7 @@ def test_enclosures_of_one_zero_are_told_from_those_of_two():
 
 @dataclass(frozen=True)
 class Uncertain:
-    """Functions that are the coordinates to within 0.01, and their slopes to within 0.45."""
+    """Functions that are d coordinates to within 0.01, and their slopes to within 0.9 / d."""
 
     def model(self, patches):
         position = TaylorModel.position(patches)
@@ -227,16 +229,19 @@ class Uncertain:
 
     def dual(self, patches):
         slopes = DualModel.position(patches).slopes
-        rough = [replace(slope, remainder=slope.remainder + 0.45) for slope in slopes]
+        rough = [
+            replace(slope, remainder=slope.remainder + 0.9 / len(slopes)) for slope in slopes
+        ]
         return DualModel(self.model(patches), tuple(rough))
 
 
-def test_an_enclosure_reaches_as_far_as_its_bounds_allow_the_zero_to_be():
-    found = isolate(Uncertain(), Boxes(np.zeros((1, 2)), np.ones(1)), 0.0)
+@pytest.mark.parametrize("dim", [2, 3])
+def test_an_enclosure_reaches_as_far_as_its_bounds_allow_the_zero_to_be(dim):
+    found = isolate(Uncertain(), Boxes(np.zeros((1, dim)), np.ones(1)), 0.0)
     assert found.is_one.tolist() == [True]
     assert found.index.tolist() == [1]
     # The farthest zero is that of the flattest of these functions.
-    zero = np.linalg.solve([[0.55, -0.45], [-0.45, 0.55]], [0.01, 0.01])
+    zero = np.linalg.solve(np.eye(dim) - 0.9 / dim, np.full(dim, 0.01))
     assert np.allclose(zero, 0.1)
     assert (np.abs(found.points - zero) <= found.radius).all()
 
@@ -295,6 +300,40 @@ def test_the_zero_of_a_linear_field_in_space(make_field, coarse, matrix, expecte
     assert found.complete
     assert found.winding_number is None
     assert found.points.shape == (1, 3)
+
+
+@dataclass(frozen=True)
+class Quadrics:
+    """The functions x^2 - 1, y^2 + x / 2 - 4 and z^2 + 0.3 x y - 2, which have eight zeros."""
+
+    def of(self, position):
+        x, y, z = (position.functions(slice(k, k + 1)) for k in range(3))
+        second = (y * y + x.scaled(0.5)).shifted(-4.0)
+        third = (z * z + (x * y).scaled(0.3)).shifted(-2.0)
+        return (x * x).shifted(-1.0).joined(second, third)
+
+    def model(self, patches):
+        return self.of(TaylorModel.position(patches))
+
+    def dual(self, patches):
+        return self.of(DualModel.position(patches))
+
+
+def test_the_zeros_of_quadrics_in_space(coarse):
+    found = _Vanishing(Quadrics(), HALF_WIDTH, 1e-15).prove(3)
+    facts, ambiguous = _distinct(found)
+    assert (len(found.undecided), ambiguous, len(facts)) == (0, 0, 8)
+    for x, b, c in product((-1.0, 1.0), repeat=3):
+        y = b * np.sqrt(4 - x / 2)
+        zero = np.array([x, y, c * np.sqrt(2 - 0.3 * x * y)])
+        (same,) = np.flatnonzero(np.abs(facts[:, 3:6] - zero).max(axis=1) <= facts[:, -2])
+        assert facts[same, -1] == x * b * c
+    # Where a direction is told, the functions point along it, in the corners and in between.
+    told = ~np.isnan(found.facts[:, 0])
+    boxes, u = found.boxes[told], found.facts[told, :3]
+    for step in product((-1.0, 0.3, 1.0), repeat=3):
+        points = Patches.points(boxes.centers + boxes.half[:, None] * step)
+        assert ((Quadrics().model(points).value * u).sum(axis=1) > 0).all()
 
 
 def test_kinds_in_space_are_those_that_eigenvalues_tell():
