@@ -172,12 +172,12 @@ def divide(
         facts.append(np.concatenate([answer.facts for answer in answers])[done])
         boxes = boxes[~done]
         refuted = refute(boxes.centers)
-        parts = boxes.quarters()
-        last = boxes.half.max(initial=0.0) <= smallest or evaluated + len(parts) > most
+        parts = len(boxes) * 2 ** boxes.centers.shape[1]
+        last = boxes.half.max(initial=0.0) <= smallest or evaluated + parts > most
         if refuted.any() or (len(boxes) and last):
             found = boxes.centers[refuted][0] if refuted.any() else None
             return _division(decided, facts, evaluated, found, boxes)
-        boxes = parts
+        boxes = boxes.quarters()
     return _division(decided, facts, evaluated, None, boxes)
 
 
