@@ -14,9 +14,12 @@ from sgvf_drake.fields import (
     RobustComposition,
     ScoreNetwork,
 )
+from tests.helpers import circle
 
-# A quarter turn, counter-clockwise.
+# A quarter turn, counter-clockwise; one about the diagonal of space, and the plane across that.
 TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
+SPIN = np.array([[0, -1, 1], [1, 0, -1], [-1, 1, 0]]) / np.sqrt(3)
+ACROSS = np.array([[1, -1, 0] / np.sqrt(2), [1, 1, -2] / np.sqrt(6)])
 
 
 def random_perceptron(rng, inputs, hidden, outputs, num_frequencies=0):
@@ -91,3 +94,10 @@ def exact_field(points, tangent=TURN, sigma=0.1, gain=0.2, composition="robust")
         recipe="exact",
         seed=0,
     )
+
+
+def tilted_circle():
+    """The exact score of a circle of radius 4 about the diagonal of space, and its points."""
+    points = circle(4.0, 80) @ ACROSS
+    tangent = linear_network(SPIN, np.zeros(3))
+    return exact_field(points, tangent, sigma=0.4, gain=0.8), points

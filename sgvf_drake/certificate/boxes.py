@@ -149,6 +149,7 @@ def divide(
     ask: Callable[[Boxes], Answer],
     refute: Callable[[FloatArray], BoolArray],
     smallest: float,
+    most: float = np.inf,
 ) -> Division:
     """Divides squares until a question is decided on each.
 
@@ -158,6 +159,7 @@ def divide(
         refute: Tells at which points (n, 2) the answer is no, by the field itself; asked at
             the centres of squares that are undecided.
         smallest: Half-side at which, when all squares are as small, they are divided no more.
+        most: Nor where more squares than this would have been asked about.
     """
     decided: list[Boxes] = []
     facts: list[FloatArray] = []
@@ -170,7 +172,9 @@ def divide(
         facts.append(np.concatenate([answer.facts for answer in answers])[done])
         boxes = boxes[~done]
         refuted = refute(boxes.centers)
-        if refuted.any() or (len(boxes) and boxes.half.max() <= smallest):
+        parts = len(boxes) * 2 ** boxes.centers.shape[1]
+        last = boxes.half.max(initial=0.0) <= smallest or evaluated + parts > most
+        if refuted.any() or (len(boxes) and last):
             found = boxes.centers[refuted][0] if refuted.any() else None
             return _division(decided, facts, evaluated, found, boxes)
         boxes = boxes.quarters()

@@ -1,7 +1,7 @@
-"""Zeros of two functions over squares, shown to be none or one (Krawczyk's method).
+"""Zeros of d functions over cubes of R^d, shown to be none or one (Krawczyk's method).
 
 With a matrix A near the inverse of the Jacobian J, and lengths by the largest entry, z - A m(z)
-shrinks distances where |I - A J| <= k < 1 all over a square.  Then m is one to one on it, det J
+shrinks distances where |I - A J| <= k < 1 all over a cube.  Then m is one to one on it, det J
 has one sign, and a part of it that reaches |A m(x)| / (1 - k) from x to all sides holds a zero.
 """
 
@@ -15,6 +15,7 @@ from sgvf_drake.certificate.boxes import Boxes
 from sgvf_drake.certificate.kernels import SLACK, TINY
 from sgvf_drake.certificate.patches import Patches
 from sgvf_drake.certificate.taylor_model import DualModel, TaylorModel
+from sgvf_drake.matrices import adjugate, determinant, size_of_determinant
 
 # Newton's method doubles the digits in every step: enough for all of them.
 NEWTON_STEPS = 6
@@ -26,10 +27,10 @@ WIDER = 2.0
 
 
 class BoundedMap(Protocol):
-    """Two functions of the plane that can be bounded."""
+    """As many functions as the space has dimensions, that can be bounded."""
 
     def model(self, patches: Patches) -> TaylorModel:
-        """Returns their models, (n, 2)."""
+        """Returns their models, (n, d)."""
 
     def dual(self, patches: Patches) -> DualModel:
         """Returns their models and those of their derivatives."""
@@ -42,7 +43,7 @@ class Isolated:
     Attributes:
         is_one: (n,) whether the enlarged square holds one zero and no other; all that follows
             is said of those.
-        points: (n, 2) the centre of a small square that holds it.
+        points: (n, d) the centre of a small square that holds it.
         radius: (n,) the half-side of that.
         index: (n,) the index of the zero: the sign of det J.
     """
@@ -54,15 +55,14 @@ class Isolated:
 
 
 def directions_of(m: TaylorModel) -> FloatArray:
-    """Returns directions u (n, 2) with m . u > 0 all over each square; NaN: none is found.
+    """Returns directions u (n, d) with m . u > 0 all over each square; NaN: none is found.
 
     That of m at the centre is tried, then the rows of the inverse Jacobian: where m is steep
     across a line and flat along it, they point along the flat part.
     """
     # By the parameters, so in the half-side of the square.
-    rows = _inverse(m.slopes)
     found = np.full_like(m.value, np.nan)
-    for u in (m.value, rows[:, 0], rows[:, 1]):
+    for u in (m.value, *_rows(_inverse(m.slopes))):
         along = m.weighted(u)
         side = np.where(along.lower > 0, 1.0, np.where(along.upper < 0, -1.0, np.nan))
         found = np.where(np.isnan(found), side * u, found)
@@ -93,7 +93,7 @@ def isolate(function: BoundedMap, boxes: Boxes, margin: float) -> Isolated:
     points = _newton(function, boxes.centers)
     here = function.dual(Patches.points(points))
     A = _inverse(_jacobian(here))
-    step = np.maximum(*(_largest(here.value.weighted(row)) for row in _rows(A)))
+    step = np.max([_largest(here.value.weighted(row)) for row in _rows(A)], axis=0)
     k = _contraction(function.dual(Boxes(boxes.centers, half).patches), A)
     radius = WIDER * step / (1 - k) + margin
     reach = np.abs(points - boxes.centers).max(axis=1) + radius
@@ -103,7 +103,7 @@ def isolate(function: BoundedMap, boxes: Boxes, margin: float) -> Isolated:
 
 
 def _newton(function: BoundedMap, points: FloatArray) -> FloatArray:
-    """Returns where Newton's method leads from points (n, 2); not finite: nowhere."""
+    """Returns where Newton's method leads from points (n, d); not finite: nowhere."""
     for _ in range(NEWTON_STEPS):
         m = function.dual(Patches.points(points))
         points = points - (_inverse(_jacobian(m)) @ m.value.value[:, :, None])[:, :, 0]
@@ -116,8 +116,8 @@ def _contraction(m: DualModel, A: FloatArray) -> FloatArray:
     for i, row in enumerate(_rows(A)):
         entries = [slope.weighted(row) for slope in m.slopes]
         entries[i] = entries[i].shifted(-1.0)
-        sums.append(_largest(entries[0]) + _largest(entries[1]))
-    return (1 + SLACK) * np.maximum(*sums)
+        sums.append(np.sum([_largest(entry) for entry in entries], axis=0))
+    return np.asarray((1 + SLACK) * np.max(sums, axis=0))
 
 
 def _largest(m: TaylorModel) -> FloatArray:
@@ -126,28 +126,25 @@ def _largest(m: TaylorModel) -> FloatArray:
 
 
 def _rows(A: FloatArray) -> FloatArray:
-    """Returns the rows of matrices (n, 2, 2), (2, n, 2)."""
+    """Returns the rows of matrices (n, d, d), (d, n, d)."""
     return np.moveaxis(A, 1, 0)
 
 
 def _jacobian(m: DualModel) -> FloatArray:
-    """Returns the derivatives (n, 2, 2) at the centres, a row for each coordinate."""
+    """Returns the derivatives (n, d, d) at the centres, a row for each coordinate."""
     return np.stack([slope.value for slope in m.slopes], axis=1)
 
 
 def _inverse(jacobian: FloatArray) -> FloatArray:
-    """Returns the inverses (n, 2, 2), but for rounding, of derivatives.
+    """Returns the inverses (n, d, d), but for rounding, of derivatives.
 
     Their rows are those of the coordinates; entries that are not finite: there is none.
     """
-    (a, c), (b, d) = np.moveaxis(jacobian, 0, 2)
-    adjugate = np.stack([np.stack([d, -b], axis=1), np.stack([-c, a], axis=1)], axis=1)
-    return adjugate / (a * d - b * c)[:, None, None]
+    J = jacobian.swapaxes(1, 2)
+    return np.asarray(adjugate(J) / determinant(J)[:, None, None])
 
 
 def _sign_of_determinant(A: FloatArray) -> IntArray:
     """Returns the signs (n,) of the determinants; 0: rounding leaves it open."""
-    first, second = A[:, 0, 0] * A[:, 1, 1], A[:, 0, 1] * A[:, 1, 0]
-    error = SLACK * (np.abs(first) + np.abs(second)) + TINY
-    sign = np.where(np.abs(first - second) > error, np.sign(first - second), 0)
-    return sign.astype(np.intp)
+    found, error = determinant(A), SLACK * size_of_determinant(A) + TINY
+    return np.where(np.abs(found) > error, np.sign(found), 0).astype(np.intp)

@@ -1,4 +1,4 @@
-"""All zeros of a planar field in a square, proved: none is missed and none is told twice."""
+"""All zeros of a field in a square or a cube, proved: none is missed, none is told twice."""
 
 from dataclasses import dataclass
 
@@ -19,7 +19,7 @@ from sgvf_drake.certificate.patches import Patches
 from sgvf_drake.certificate.taylor_model import DualModel, Model, TaylorModel
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import GuidingField, check_position_alone
-from sgvf_drake.lyapunov import PartName, PlanarZero, PlanarZeros
+from sgvf_drake.lyapunov import KnownZero, KnownZeros, PartName
 
 # Of neighbouring directions that are farther apart, in radians, rounding might tell wrongly on
 # which side of each other they are.
@@ -70,25 +70,38 @@ def _sides(boxes: Boxes, half: float) -> list[IntArray]:
 
 
 HALF_WIDTH = 5.125
-"""Half-side of the square that is searched, normalised units: the field's box, and more than
-rounding can change of it."""
+"""Half-side of the square or cube that is searched, normalised units: the field's box, and more
+than rounding can change of it."""
 
 # Half-sides of the first squares, and of those that are divided further only where few of them
 # are left, as at a zero that is nearly double and not along a line of zeros; and of the last.
 FIRST, FINE, LAST = 2.0**-3, 2.0**-10, 2.0**-24
 MOST_FINE = 1_000
+# What would need more cubes than this is left undecided, as a line of zeros in space is.
+MOST_CUBES = 3_000_000
 
-# The facts of a square: a direction in which m points all over it, or the one zero near it, by
-# the centre and the half-side of an enclosure and its index.
-DIRECTION, POINT, RADIUS, INDEX = slice(0, 2), slice(2, 4), 4, 5
+# The facts of a square, (2 d + 2,): a direction in which m points all over it, (d,), or the one
+# zero near it, by the centre of an enclosure, (d,), and its half-side, and by its index.
+RADIUS, INDEX = -2, -1
+
+
+def _directions(facts: FloatArray) -> FloatArray:
+    """Returns the directions, (n, d)."""
+    return facts[:, : facts.shape[1] // 2 - 1]
+
+
+def _points(facts: FloatArray) -> FloatArray:
+    """Returns the centres of enclosures, (n, d)."""
+    return facts[:, facts.shape[1] // 2 - 1 : RADIUS]
 
 
 @dataclass(frozen=True, eq=False)
-class EnclosedZero(PlanarZero):
-    """A zero of a planar field; all of this is proved; see `PlanarZero`.
+class EnclosedZero(KnownZero):
+    """A zero of a field; all of this is proved; see `KnownZero`.
 
-    Its `point` is the centre of a square that holds the zero and no other; its `kind` is not
-    told more finely than `source`, `sink`, `saddle`, `focus` and `unknown`.
+    Its `point` is the centre of a square or a cube that holds the zero and no other; its `kind`
+    is not told more finely than `source`, `sink`, `saddle`, `focus` and `unknown`, and not at
+    all in more than three dimensions.
 
     Attributes:
         radius: Half-side of the square.
@@ -98,8 +111,8 @@ class EnclosedZero(PlanarZero):
 
 
 @dataclass(frozen=True, eq=False)
-class ZeroList(PlanarZeros[EnclosedZero]):
-    """The zeros of a field in a square, which do not overlap; see `PlanarZeros`.
+class ZeroList(KnownZeros[EnclosedZero]):
+    """The zeros of a field in a square or a cube, which do not overlap; see `KnownZeros`.
 
     What is `undecided` are squares that may hold further zeros, or the same ones.
 
@@ -118,34 +131,36 @@ class ZeroList(PlanarZeros[EnclosedZero]):
 
 
 def enclose_zeros(field: GuidingField, part: PartName = "guiding") -> ZeroList:
-    """Encloses all zeros of a planar field in its box, with a proof that there are no others.
+    """Encloses all zeros of a field in its box, with a proof that there are no others.
 
     Args:
         field: The field, of closed paths, with smooth activations.
         part: Whose zeros: those of m, of the raw score or of the tangent network.
 
     Raises:
-        ConfigurationError: The field is not planar, or nothing bounds its derivatives.
+        ConfigurationError: The field is a directed one or one of open paths, or nothing bounds
+            its derivatives.
     """
     check_position_alone(field)
-    if field.dim != 2:
-        raise ConfigurationError(f"zeros are enclosed of planar fields, not in {field.dim}-D")
     if len(field.ends) or not has_dual(field):
         raise ConfigurationError("zeros are enclosed of smooth fields of closed paths only")
     function = _Part(field, part)
     rounding = SLACK * (HALF_WIDTH + np.abs(field.cloud.center).max() / field.cloud.unit_length)
     # Enclosures are as much wider as their centres and sides may move in the user's unit.
-    found = _Vanishing(function, HALF_WIDTH, 2 * rounding).prove()
+    found = _Vanishing(function, HALF_WIDTH, 2 * rounding).prove(field.dim)
     isolated, ambiguous = _distinct(found)
-    corner = np.full(2, HALF_WIDTH)
+    corner = np.full(field.dim, HALF_WIDTH)
     zeros = ZeroList(
         box=(field.cloud.denormalize(-corner), field.cloud.denormalize(corner)),
         zeros=_described(field, function, isolated, rounding),
         undecided=len(found.undecided) + ambiguous,
-        winding_number=proved_winding_number(
-            found.boxes, found.facts[:, DIRECTION], HALF_WIDTH
+        winding_number=(
+            proved_winding_number(found.boxes, _directions(found.facts), HALF_WIDTH)
+            if field.dim == 2
+            else None
         ),
         boxes=found.evaluated,
+        dim=field.dim,
     )
     # Poincare and Hopf.
     assert not zeros.complete or zeros.winding_number in (None, zeros.index_sum)
@@ -193,12 +208,14 @@ class _Vanishing:
     half: float
     margin: float
 
-    def prove(self) -> Division:
-        """Answers it over squares that cover everything."""
-        found = divide(_grid(self.half, FIRST), self._ask, _never, FINE)
+    def prove(self, dim: int) -> Division:
+        """Answers it over squares, or cubes, that cover everything."""
+        most = np.inf if dim == 2 else MOST_CUBES
+        found = divide(_grid(self.half, FIRST, dim), self._ask, _never, FINE, most)
         if not 0 < len(found.undecided) <= MOST_FINE:
             return found
-        finer = divide(found.undecided, self._ask, _never, LAST)
+        rest = most - found.evaluated
+        finer = divide(found.undecided, self._ask, _never, LAST, rest)
         return Division(
             boxes=Boxes(
                 np.concatenate([found.boxes.centers, finer.boxes.centers]),
@@ -211,18 +228,18 @@ class _Vanishing:
         )
 
     def _ask(self, boxes: Boxes) -> Answer:
-        facts = np.full((len(boxes), 6), np.nan)
+        facts = np.full((len(boxes), 2 * boxes.centers.shape[1] + 2), np.nan)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             m = self.function.model(boxes.patches)
-            facts[:, DIRECTION] = directions_of(m)
+            _directions(facts)[:] = directions_of(m)
             asked = np.isnan(facts[:, 0]) & may_be_isolated(m) & ~at_border(boxes, self.half)
             if asked.any():
                 facts[asked] = self._isolated(boxes[asked])
-        decided = ~np.isnan(facts[:, [0, INDEX]]).all(axis=1)
+        decided = np.asarray(~np.isnan(facts[:, [0, INDEX]]).all(axis=1))
         return Answer(decided, facts, len(boxes))
 
     def _isolated(self, boxes: Boxes) -> FloatArray:
-        """Returns the facts (n, 6) of squares near which a zero may be."""
+        """Returns the facts of squares near which a zero may be."""
         found = isolate(self.function, boxes, self.margin)
         nothing = np.full_like(boxes.centers, np.nan)
         facts = np.column_stack([nothing, found.points, found.radius, found.index])
@@ -235,25 +252,25 @@ def _never(points: FloatArray) -> BoolArray:
     return np.zeros(len(points), bool)
 
 
-def _grid(half: float, part: float) -> Boxes:
-    """Returns the squares of a half-side that a square around the origin is made of."""
+def _grid(half: float, part: float, dim: int = 2) -> Boxes:
+    """Returns the squares, or cubes, of a half-side that one around the origin is made of."""
     middles = part * (2 * np.arange(round(half / part)) + 1) - half
-    centers = np.stack(np.meshgrid(middles, middles, indexing="ij"), axis=-1).reshape(-1, 2)
+    centers = np.stack(np.meshgrid(*[middles] * dim, indexing="ij"), axis=-1).reshape(-1, dim)
     return Boxes(centers, np.full(len(centers), part))
 
 
 def _distinct(found: Division) -> tuple[FloatArray, int]:
-    """Returns the facts (k, 6) of different zeros, and how many may be another or the same.
+    """Returns the facts of different zeros, and how many may be another or the same.
 
     Neighbours find the same zero: it is, where the enclosure of one is inside of the enlarged
     square of the other, which holds one zero only.
     """
-    rows = np.flatnonzero(~np.isnan(found.facts[:, INDEX]))
+    rows, points = np.flatnonzero(~np.isnan(found.facts[:, INDEX])), _points(found.facts)
     kept: list[int] = []
     ambiguous = 0
     for row in rows:
-        point, radius = found.facts[row, POINT], found.facts[row, RADIUS]
-        apart = np.abs(found.facts[kept, POINT] - point).max(axis=1)
+        point, radius = points[row], found.facts[row, RADIUS]
+        apart = np.abs(points[kept] - point).max(axis=1)
         from_center = np.abs(found.boxes.centers[kept] - point).max(axis=1)
         clear = (1 + SLACK) * (from_center + radius) < ENLARGED * found.boxes.half[kept]
         if clear.any():
@@ -269,7 +286,7 @@ def _described(
     field: GuidingField, function: BoundedMap, facts: FloatArray, rounding: float
 ) -> tuple[EnclosedZero, ...]:
     """Returns zeros in the unit of the waypoints, with their kinds."""
-    z, half = facts[:, POINT], facts[:, RADIUS]
+    z, half = _points(facts), facts[:, RADIUS]
     points, radius = field.cloud.denormalize(z), (half - rounding) * field.cloud.unit_length
     kinds = _kinds(function.dual(Boxes(z, half).patches), facts[:, INDEX])
     return tuple(
@@ -280,24 +297,65 @@ def _described(
 
 def _kinds(m: DualModel, indices: FloatArray) -> list[tuple[str, bool | None]]:
     """Returns what zeros are and whether they are stable, by J on their enclosures."""
-    along_x, along_y = np.broadcast_to(np.eye(2)[:, None], (2, len(indices), 2))
-    (a, c), (b, d) = ((slope.weighted(along_x), slope.weighted(along_y)) for slope in m.slopes)
-    trace, difference = a + d, a - d
-    # Of lambda^2 - tr J lambda + det J.
+    dim = len(m.slopes)
+    along = np.broadcast_to(np.eye(dim)[:, None], (dim, len(indices), dim))
+    J = [[slope.weighted(axis) for slope in m.slopes] for axis in along]
+    signs = {2: _signs_in_plane, 3: _signs_in_space}.get(dim)
+    if signs is None:
+        return [("unknown", None)] * len(indices)
+    return [_kind(*each) for each in zip(*signs(J, indices), strict=True)]
+
+
+def _signs_in_plane(
+    J: list[list[TaylorModel]], indices: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Returns what `_kind` wants, (n,) each: by lambda^2 - tr J lambda + det J."""
+    (a, b), (c, d) = J
+    difference = a - d
     discriminant = difference * difference + (b * c).scaled(4.0)
-    return [
-        ("saddle", False) if index < 0 else _kind(trace_side, discriminant_side)
-        for index, trace_side, discriminant_side in zip(
-            indices, _side(trace), _side(discriminant), strict=True
-        )
-    ]
+    return np.where(indices < 0, np.nan, _side(a + d)), _side(discriminant)
 
 
-def _kind(trace: float, discriminant: float) -> tuple[str, bool | None]:
-    """Returns the kind of a zero of index one and its stability, by signs; 0: not known."""
-    if trace == 0:
+def _signs_in_space(
+    J: list[list[TaylorModel]], indices: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Returns what `_kind` wants, (n,) each: by lambda^3 - t lambda^2 + s lambda - det J.
+
+    By Routh and Hurwitz, all roots are left of zero where det J, t and t s - det J are below
+    it, and right of it where those are above.  They are on both sides where det J has another
+    sign than one of the other two.
+    """
+
+    def minor(a: int, b: int, c: int, d: int) -> TaylorModel:
+        """Of rows a and b and columns c and d."""
+        return J[a][c] * J[b][d] - J[a][d] * J[b][c]
+
+    t = J[0][0] + J[1][1] + J[2][2]
+    s = minor(0, 1, 0, 1) + minor(0, 2, 0, 2) + minor(1, 2, 1, 2)
+    det = (
+        J[0][0] * minor(1, 2, 1, 2) + J[0][1] * minor(1, 2, 2, 0) + J[0][2] * minor(1, 2, 0, 1)
+    )
+    ts = t * s
+    same = np.stack([indices * _side(t), indices * _side(ts - det)])
+    side = np.where((same > 0).all(axis=0), indices, 0.0)
+    cubes = (t * t * t * det + s * s * s).scaled(4.0)
+    discriminant = ts * ts + (ts * det).scaled(18.0) - cubes - (det * det).scaled(27.0)
+    return np.where((same < 0).any(axis=0), np.nan, side), _side(discriminant)
+
+
+def _kind(side: float, discriminant: float) -> tuple[str, bool | None]:
+    """Returns the kind of a zero and its stability.
+
+    Args:
+        side: The sign of the real parts of all eigenvalues; NaN: they have both; 0: not known.
+        discriminant: The sign of that of their polynomial, negative where two of them are
+            complex; 0: not known.
+    """
+    if np.isnan(side):
+        return "saddle", False
+    if side == 0:
         return "unknown", None
-    stable = bool(trace < 0)
+    stable = bool(side < 0)
     if discriminant == 0:
         return "unknown", stable
     if discriminant < 0:

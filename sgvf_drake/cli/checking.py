@@ -309,7 +309,7 @@ def singularities(
     ] = False,
     overwrite: Overwrite = False,
 ) -> None:
-    """Find all zeros of a planar field, its score and its tangent, and where they lie."""
+    """Find all zeros of a field, its score and its tangent, and where they lie."""
     from sgvf_drake.experiments import choose_reference, open_guiding_field, run_singularities
 
     loaded = open_guiding_field(field)
@@ -326,8 +326,7 @@ def _print_singularities(summary: Mapping[str, Any]) -> None:
     rows = {
         f"zeros of the {name}{'' if name == 'score' else ' field'}": (
             f"{_kinds(summary['zeros'], name)}; indices sum up to "
-            f"{summary[f'{prefix}index_sum']}, winding number "
-            f"{summary[f'{prefix}winding_number']}"
+            f"{summary[f'{prefix}index_sum']}{_turns(summary[f'{prefix}winding_number'])}"
         )
         for name, prefix in prefixes.items()
     }
@@ -348,16 +347,29 @@ def _print_singularities(summary: Mapping[str, Any]) -> None:
 def _proved(proof: Mapping[str, Any]) -> str:
     """Returns what is proved of the zeros of a field."""
     count, undecided = len(proof["zeros"]), proof["undecided"]
-    others = "no others" if proof["complete"] else f"{undecided} squares undecided"
-    winding = proof["winding_number"]
+    planar, winding = len(proof["box"][0]) == 2, proof["winding_number"]
+    parts = "squares" if planar else "cubes"
+    others = "no others" if proof["complete"] else f"{undecided} {parts} undecided"
     turns = "winding number not proved" if winding is None else f"winding number {winding}"
-    return f"{count} enclosed, {others}; {turns}"
+    return f"{count} enclosed, {others}" + (f"; {turns}" if planar else "")
+
+
+def _turns(winding_number: int | None) -> str:
+    """Returns what is told of a winding number; in space there is none."""
+    return "" if winding_number is None else f", winding number {winding_number}"
 
 
 def _kinds(zeros: Sequence[Mapping[str, Any]], field: str) -> str:
     """Returns how many zeros of each kind a field has: "1 focus, 2 saddle"."""
-    counts = Counter(zero["kind"] for zero in zeros if zero["field"] == field)
+    counts = Counter(_kind(zero) for zero in zeros if zero["field"] == field)
     return ", ".join(f"{count} {kind}" for kind, count in counts.items()) or "none"
+
+
+def _kind(zero: Mapping[str, Any]) -> str:
+    """Returns the kind of a zero; of a saddle in space also along how much it is left."""
+    if zero["kind"] != "saddle" or len(zero["point"]) == 2:
+        return str(zero["kind"])
+    return f"saddle left along a {'line' if zero['unstable_directions'] == 1 else 'surface'}"
 
 
 def _concentration(claim: Mapping[str, Any] | None) -> str:

@@ -8,7 +8,12 @@ import numpy as np
 import pandas as pd
 
 from sgvf_drake.certificate import ZeroList, enclose_zeros
-from sgvf_drake.experiments.figures.singularities import log_density_figure, singularity_figure
+from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.experiments.figures.singularities import (
+    log_density_figure,
+    singularity_figure,
+    spatial_figure,
+)
 from sgvf_drake.experiments.reference import choose_reference
 from sgvf_drake.experiments.results import (
     SUMMARY,
@@ -29,6 +34,9 @@ from sgvf_drake.paths import ReferencePath
 
 SINGULARITIES_FILES = (SUMMARY, "zeros.csv", "singularities.png", "log_density.png")
 
+AXES = "xyz"
+"""The names of the coordinates."""
+
 Row = dict[str, Any]
 
 
@@ -40,14 +48,16 @@ def run_singularities(
     prove: bool = False,
     overwrite: bool = False,
 ) -> dict[str, Any]:
-    """Finds the zeros of a field; leaves a table, two figures and the summary.
+    """Finds the zeros of a field; leaves a table, two figures (in space one) and the summary.
 
     To `prove` is to enclose the zeros too, with a proof that there are no others.
 
     Raises:
-        ConfigurationError: The field is not planar, its zeros have no index, or nothing bounds
-            the derivatives that a proof needs.
+        ConfigurationError: The field has more than three dimensions, its zeros have no index,
+            or nothing bounds the derivatives that a proof needs.
     """
+    if field.dim > 3:
+        raise ConfigurationError(f"singularities are found up to 3-D, not in {field.dim}-D")
     path, kind = reference or choose_reference(field)
     with result_folder(out, SINGULARITIES_FILES, overwrite=overwrite) as folder:
         # First, since it refuses some fields.
@@ -59,9 +69,11 @@ def run_singularities(
         vanishing = measure_vanishing(field, found, path)
         elapsed = time.perf_counter() - begin
         zeros = zero_rows(found, vanishing)
-        zero_table(zeros).to_csv(folder / "zeros.csv", index=False)
-        save_figure(singularity_figure(field, found), folder / "singularities.png")
-        save_figure(log_density_figure(field, found), folder / "log_density.png")
+        zero_table(zeros, field.dim).to_csv(folder / "zeros.csv", index=False)
+        draw = singularity_figure if field.dim == 2 else spatial_figure
+        save_figure(draw(field, found), folder / "singularities.png")
+        if field.dim == 2:
+            save_figure(log_density_figure(field, found), folder / "log_density.png")
         summary = {
             **singularity_summary(found),
             "vanishing": vanishing.summary,
@@ -99,8 +111,7 @@ def _proved(found: ZeroList) -> dict[str, Any]:
         "complete": found.complete,
         "zeros": [
             {
-                "x": zero.point[0],
-                "y": zero.point[1],
+                **dict(zip(AXES, zero.point, strict=False)),
                 "radius": zero.radius,
                 "index": zero.index,
                 "kind": zero.kind,
@@ -128,6 +139,7 @@ def zero_rows(found: Singularities, vanishing: Vanishing) -> list[Row]:
                 "index": zero.index,
                 "kind": zero.kind,
                 "stable": zero.stable,
+                "unstable_directions": int((zero.eigenvalues.real > 0).sum()),
                 "eigenvalues": [[value.real, value.imag] for value in zero.eigenvalues],
                 "residual": zero.residual,
             }
@@ -140,15 +152,16 @@ def zero_rows(found: Singularities, vanishing: Vanishing) -> list[Row]:
     return rows
 
 
-def zero_table(rows: list[Row]) -> pd.DataFrame:
+def zero_table(rows: list[Row], dim: int = 2) -> pd.DataFrame:
     """Returns the rows as a table, with a column for each number."""
     table = pd.DataFrame(rows)
-    points = np.array([row["point"] for row in rows]).reshape(-1, 2)
-    eigenvalues = np.array([row["eigenvalues"] for row in rows]).reshape(-1, 4)
-    names = [f"eigenvalue_{number}_{part}" for number in (1, 2) for part in ("real", "imag")]
+    points = np.array([row["point"] for row in rows]).reshape(-1, dim)
+    eigenvalues = np.array([row["eigenvalues"] for row in rows]).reshape(-1, 2 * dim)
+    numbers = range(1, dim + 1)
+    names = [f"eigenvalue_{number}_{part}" for number in numbers for part in ("real", "imag")]
     return pd.concat(
         [
-            pd.DataFrame(points, columns=["x", "y"]),
+            pd.DataFrame(points, columns=list(AXES[:dim])),
             table.drop(columns=["point", "eigenvalues"], errors="ignore"),
             pd.DataFrame(eigenvalues, columns=names),
         ],

@@ -1,4 +1,4 @@
-"""Square cells of the plane, and what is known of a planar field over each of them.
+"""Square cells of the plane, or cubes of space, and what is known of a field over each of them.
 
 That is a linear model and its remainder, which is estimated from the field on the rim of the
 cell.  With a bound in its place, the tests below would be proofs.
@@ -15,22 +15,40 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from sgvf_drake.arrays import BoolArray, FloatArray, IntArray
+from sgvf_drake.matrices import adjugate, determinant
 
-CORNERS = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
-"""Offsets of a cell's corners from its lower left one, in sides, counter-clockwise."""
 
-RIM = np.array([[-1, -1], [0, -1], [1, -1], [1, 0], [1, 1], [0, 1], [-1, 1], [-1, 0]])
-"""Offsets from a cell's centre to its corners and the middles of its sides, in half-sides."""
+def corners(dim: int) -> IntArray:
+    """Returns the offsets of a cell's corners from its lowest one, in sides, (2^d, d).
+
+    From each to the next there is one side: of squares they run counter-clockwise.
+    """
+    number = np.arange(2**dim)
+    return ((number ^ number >> 1)[:, None] >> np.arange(dim)) & 1
+
+
+def around(dim: int) -> IntArray:
+    """Returns the offsets to the places around a cell's centre and to itself, (3^d, d).
+
+    In half-sides, these are its corners, and the middles of its edges and sides; in sides,
+    its neighbours.  The middle row is the cell itself.
+    """
+    return np.indices((3,) * dim).reshape(dim, -1).T - 1
+
+
+def rim(dim: int) -> IntArray:
+    """Returns the same without the centre, (3^d - 1, d)."""
+    return np.delete(around(dim), 3**dim // 2, axis=0)
 
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Equal squares of a regular grid.
+    """Equal squares, or cubes, of a regular grid.
 
     Attributes:
-        origin: (2,) lower left corner of the grid.
+        origin: (d,) lowest corner of the grid.
         side: Length of a cell's side.
-        numbers: (n, 2) column and row of each cell.
+        numbers: (n, d) column, row and so on of each cell.
     """
 
     origin: FloatArray
@@ -39,24 +57,29 @@ class Cells:
 
     @classmethod
     def covering(cls, box: tuple[FloatArray, FloatArray], side: float) -> "Cells":
-        """Returns the cells that cover a box, (2,) and (2,), with at most the given side."""
+        """Returns the cells that cover a box, (d,) and (d,), with at most the given side."""
         lower, upper = box
         longest = float((upper - lower).max())
         side = longest / np.ceil(longest / side)
         # A box whose sides are whole multiples up to rounding needs no cells beyond it.
-        columns, rows = np.ceil((upper - lower) / side - 1e-9).astype(np.intp)
-        numbers = np.indices((columns, rows)).reshape(2, -1).T
+        counts = np.ceil((upper - lower) / side - 1e-9).astype(np.intp)
+        numbers = np.indices(tuple(counts)).reshape(len(counts), -1).T
         return cls(lower, side, numbers)
 
     def __len__(self) -> int:
         return len(self.numbers)
 
-    def __getitem__(self, which: BoolArray | IntArray) -> "Cells":
+    def __getitem__(self, which: BoolArray | IntArray | slice) -> "Cells":
         return replace(self, numbers=self.numbers[which])
 
     @property
+    def dim(self) -> int:
+        """The dimension d of the space."""
+        return self.numbers.shape[1]
+
+    @property
     def centers(self) -> FloatArray:
-        """The centres, (n, 2)."""
+        """The centres, (n, d)."""
         return self.origin + (self.numbers + 0.5) * self.side
 
     @property
@@ -65,27 +88,26 @@ class Cells:
         return self.side / 2
 
     def rim(self) -> tuple[FloatArray, IntArray]:
-        """Returns the points on the rims of all cells and which of them are a cell's `RIM`.
+        """Returns the points on the rims of all cells and which of them are a cell's `rim`.
 
-        Neighbours share theirs: (k, 2) and (n, 8).
+        Neighbours share theirs: (k, d) and (n, 3^d - 1).
         """
-        numbers = (2 * self.numbers[:, None, :] + 1 + RIM).reshape(-1, 2)
-        shared, which = np.unique(numbers, axis=0, return_inverse=True)
-        return self.origin + shared * self.half, which.reshape(-1, len(RIM))
+        numbers = 2 * self.numbers[:, None, :] + 1 + rim(self.dim)
+        shared, which = _distinct_rows(numbers.reshape(-1, self.dim))
+        return self.origin + shared * self.half, which.reshape(numbers.shape[:2])
 
     def quartered(self) -> "Cells":
-        """Returns the four quarters of every cell."""
-        numbers = (2 * self.numbers[:, None, :] + CORNERS).reshape(-1, 2)
-        return Cells(self.origin, self.side / 2, numbers)
+        """Returns the four quarters of every cell; of cubes the 2^d parts."""
+        numbers = 2 * self.numbers[:, None, :] + corners(self.dim)
+        return Cells(self.origin, self.side / 2, numbers.reshape(-1, self.dim))
 
     def grown(self) -> "Cells":
         """Returns these cells and all that touch them."""
-        around = np.indices((3, 3)).reshape(2, -1).T - 1
-        numbers = (self.numbers[:, None, :] + around).reshape(-1, 2)
-        return replace(self, numbers=np.unique(numbers, axis=0))
+        numbers = (self.numbers[:, None, :] + around(self.dim)).reshape(-1, self.dim)
+        return replace(self, numbers=_distinct_rows(numbers)[0])
 
     def contains(self, points: FloatArray) -> BoolArray:
-        """Returns whether each point (k, 2) lies in any of the cells, (k,)."""
+        """Returns whether each point (k, d) lies in any of the cells, (k,)."""
         if not len(self):
             return np.zeros(len(points), bool)
         numbers = np.floor((points - self.origin) / self.side)
@@ -96,24 +118,24 @@ class Cells:
         """Splits into sets of cells that stay apart when they are `grown`."""
         if not len(self):
             return []
-        # Fewer than two cells between them: 2 sqrt(2) at most, from corner to corner.
-        pairs = cKDTree(self.numbers).query_pairs(2.9, output_type="ndarray")
+        # Fewer than two cells between them, along every axis.
+        pairs = cKDTree(self.numbers).query_pairs(2.5, p=np.inf, output_type="ndarray")
         graph = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(self), len(self)))
         count, label = connected_components(graph, directed=False)
         return [self[label == number] for number in range(count)]
 
     def border(self) -> tuple[FloatArray, FloatArray]:
-        """Returns the segments around the union of the cells, (e, 2) and (e, 2).
+        """Returns the segments around the union of squares, (e, 2) and (e, 2).
 
         The union is on the left of each: outer borders run counter-clockwise, those of holes
         clockwise.
         """
-        corners = self.numbers[:, None, :] + CORNERS
-        edges = np.concatenate([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 4)
+        start = self.numbers[:, None, :] + corners(2)
+        edges = np.concatenate([start, np.roll(start, -1, axis=1)], axis=2).reshape(-1, 4)
         # An edge between two cells is there once in either direction.
         both = np.concatenate([edges, edges[:, [2, 3, 0, 1]]])
-        _, first, count = np.unique(both, axis=0, return_index=True, return_counts=True)
-        outer = edges[first[(count == 1) & (first < len(edges))]]
+        _, where, count = np.unique(both, axis=0, return_index=True, return_counts=True)
+        outer = edges[where[(count == 1) & (where < len(edges))]]
         return self.origin + outer[:, :2] * self.side, self.origin + outer[:, 2:] * self.side
 
 
@@ -125,29 +147,29 @@ SAFETY = 2.0
 CHUNK = 8_192
 
 
-class PlanarMap(Protocol):
-    """What is asked of a field here; every planar `Field` is one."""
+class SmoothMap(Protocol):
+    """What is asked of a field here; every `Field` is one."""
 
     def __call__(self, x: FloatArray) -> FloatArray:
-        """Returns the value: (n, 2) -> (n, 2)."""
+        """Returns the value: (n, d) -> (n, d)."""
 
     def value_and_jacobian(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Returns the value (n, 2), and the Jacobian (n, 2, 2)."""
+        """Returns the value (n, d), and the Jacobian (n, d, d)."""
 
 
 @dataclass(frozen=True, eq=False)
 class InChunks:
     """A field that is evaluated at `CHUNK` points at a time."""
 
-    field: PlanarMap
+    field: SmoothMap
 
     def __call__(self, x: FloatArray) -> FloatArray:
-        """Returns the value: (n, 2) -> (n, 2)."""
-        return np.concatenate([self.field(x[rows]) for rows in _chunks(len(x))])
+        """Returns the value: (n, d) -> (n, d)."""
+        return np.concatenate([self.field(x[rows]) for rows in chunks(len(x), CHUNK)])
 
     def value_and_jacobian(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Returns the value (n, 2), and the Jacobian (n, 2, 2)."""
-        parts = [self.field.value_and_jacobian(x[rows]) for rows in _chunks(len(x))]
+        """Returns the value (n, d), and the Jacobian (n, d, d)."""
+        parts = [self.field.value_and_jacobian(x[rows]) for rows in chunks(len(x), CHUNK)]
         values, jacobians = zip(*parts, strict=True)
         return np.concatenate(values), np.concatenate(jacobians)
 
@@ -158,9 +180,9 @@ class CellModel:
 
     Attributes:
         half: Half-side of the cells.
-        value: (n, 2) at their centres c.
-        jacobian: (n, 2, 2) there.
-        remainders: (n, 8, 2) on their rims.
+        value: (n, d) at their centres c.
+        jacobian: (n, d, d) there.
+        remainders: (n, 3^d - 1, d) on their rims.
     """
 
     half: float
@@ -169,11 +191,11 @@ class CellModel:
     remainders: FloatArray
 
     @classmethod
-    def over(cls, field: PlanarMap, cells: Cells) -> "CellModel":
+    def over(cls, field: SmoothMap, cells: Cells) -> "CellModel":
         """Returns the model of a field over cells."""
         value, jacobian = field.value_and_jacobian(cells.centers)
         points, which = cells.rim()
-        linear = cells.half * (jacobian @ RIM.T).swapaxes(1, 2)
+        linear = cells.half * (jacobian @ rim(cells.dim).T).swapaxes(1, 2)
         remainders = field(points)[which] - value[:, None] - linear
         return cls(cells.half, value, jacobian, remainders)
 
@@ -203,33 +225,42 @@ class CellModel:
 
     @cached_property
     def _svd(self) -> tuple[FloatArray, FloatArray]:
-        """The left singular vectors of the Jacobians, in rows (n, 2, 2); the values (n, 2)."""
+        """The left singular vectors of the Jacobians, in rows (n, d, d); the values (n, d)."""
         U, singular, _ = np.linalg.svd(self.jacobian)
         return U.swapaxes(1, 2), singular
 
 
-def is_one_to_one(field: PlanarMap, centers: FloatArray, half: float) -> BoolArray:
-    """Whether a field takes no value twice in squares of half-side `half`, (n,).
+def is_one_to_one(field: SmoothMap, centers: FloatArray, half: float) -> BoolArray:
+    """Whether a field takes no value twice in cells of half-side `half`, (n,).
 
     Two points of one value would make the mean of the Jacobian between them singular.  It
     differs from that at the centre by a matrix whose entries, in the frame of the singular
-    vectors, are at most `change`.
+    vectors, are at most `change`.  No such matrix is singular where the singular values less
+    the changes on the diagonal, with the others below zero beside it, are an M-matrix.
     """
-    points = centers[:, None, :] + half * np.concatenate([[[0, 0]], RIM])
-    J = field.value_and_jacobian(points.reshape(-1, 2))[1].reshape(*points.shape, 2)
-    U, singular, Vt = np.linalg.svd(J[:, 0])
+    dim = centers.shape[1]
+    points = centers[:, None, :] + half * around(dim)
+    J = field.value_and_jacobian(points.reshape(-1, dim))[1].reshape(*points.shape, dim)
+    middle = J[:, [3**dim // 2]]
+    U, singular, Vt = np.linalg.svd(middle[:, 0])
     left, right = U.swapaxes(1, 2)[:, None], Vt.swapaxes(1, 2)[:, None]
-    change = SAFETY * np.abs(left @ (J[:, 1:] - J[:, :1]) @ right).max(axis=1)
-    first, second = singular[:, 0] - change[:, 0, 0], singular[:, 1] - change[:, 1, 1]
-    return (second > 0) & (first > 0) & (first * second > change[:, 0, 1] * change[:, 1, 0])
+    change = SAFETY * np.abs(left @ (J - middle) @ right).max(axis=1)
+    least = singular[:, :, None] * np.eye(dim) - change
+    minors = [determinant(least[:, :size, :size]) for size in range(1, dim + 1)]
+    return np.asarray((np.array(minors) > 0).all(axis=0))
 
 
-def adjugate(J: FloatArray) -> FloatArray:
-    """Returns the inverses of matrices times their determinants, (n, 2, 2)."""
-    (a, b), (c, d) = J[:, 0].T, J[:, 1].T
-    return np.stack([np.stack([d, -b], axis=1), np.stack([-c, a], axis=1)], axis=1)
+def _distinct_rows(numbers: IntArray) -> tuple[IntArray, IntArray]:
+    """Returns different rows of whole numbers, in order, and which of them each row is.
+
+    As `np.unique` along an axis does, ten times as fast: by the ranks in each column.
+    """
+    ranks = [np.unique(column, return_inverse=True)[1] for column in numbers.T]
+    key = np.ravel_multi_index(ranks, [rank.max(initial=0) + 1 for rank in ranks])
+    _, first, which = np.unique(key, return_index=True, return_inverse=True)
+    return numbers[first], which
 
 
-def _chunks(count: int) -> list[slice]:
-    # One chunk at least, if an empty one.
-    return [slice(start, start + CHUNK) for start in range(0, max(count, 1), CHUNK)]
+def chunks(count: int, size: int) -> list[slice]:
+    """Returns the slices of so many rows by chunks of a size: one at least, if an empty one."""
+    return [slice(start, start + size) for start in range(0, max(count, 1), size)]

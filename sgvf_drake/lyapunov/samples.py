@@ -72,7 +72,10 @@ def take_samples(field: GuidingField, seed: int = 0, grid_size: int = GRID_SIZE)
         ConfigurationError: The field is not planar, or the grid has fewer than 3 points.
     """
     if field.dim != 2:
-        raise ConfigurationError(f"only planar fields are checked, not one of {field.dim}-D")
+        raise ConfigurationError(
+            f"only planar fields are checked, not one of {field.dim}-D: what sublevel sets "
+            "enclose is counted in the plane; certify and singularities take it"
+        )
     if grid_size < 3:
         raise ConfigurationError(f"the grid must have at least 3 points, not {grid_size}")
     lower, upper = field.cloud.box

@@ -24,8 +24,8 @@ from sgvf_drake.paths import Piece, ReferencePath
 NEAR_PATH = 3.0
 """A place is on the path, or near it, within this many noise levels."""
 
-# Cells along each axis of the grid over the box that stands for its area.
-GRID_SIZE = 201
+# Cells of the grid over the box that stands for its area, or its volume.
+GRID_CELLS = 201**2
 # A zero of the score and one of m meet within this many noise levels.
 MEETING = 1.0
 # |S| sigma below this is small; so it is within half a noise level of the path.
@@ -48,14 +48,14 @@ STRAIGHT = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class PathShape:
-    """A planar path at n places, evenly spaced along each piece.
+    """A path at n places, evenly spaced along each piece.
 
     Attributes:
-        points: (n, 2) the places.
-        tangents: (n, 2) unit vectors along the blurred path.
+        points: (n, d) the places.
+        tangents: (n, d) unit vectors along the blurred path.
         curvature: (n,) of the blurred path, not negative, per unit of length; zero where it
             is straight.
-        branches: (B, 2) the places where the path branches.
+        branches: (B, d) the places where the path branches.
     """
 
     points: FloatArray
@@ -93,7 +93,7 @@ class Vanishing:
 def measure_vanishing(
     field: GuidingField, found: Singularities, reference: ReferencePath
 ) -> Vanishing:
-    """Measures where the score of a planar field vanishes.
+    """Measures where the score of a field vanishes.
 
     - low_density: whether the zeros of the score keep to low density, against the box;
       low_density_off_path: the same of those off the path, against the box off the path;
@@ -187,9 +187,11 @@ def concentration(zeros: ArrayLike, even: ArrayLike) -> dict[str, Any] | None:
 
 
 def _middles(box: tuple[FloatArray, FloatArray]) -> FloatArray:
-    """Returns the middles of equal cells of a box, (n, 2)."""
-    steps = (np.arange(GRID_SIZE) + 0.5) / GRID_SIZE
-    unit = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    """Returns the middles of equal cells of a box, (n, d)."""
+    dim = len(box[0])
+    count = round(GRID_CELLS ** (1 / dim))
+    steps = (np.arange(count) + 0.5) / count
+    unit = np.stack(np.meshgrid(*[steps] * dim), axis=-1).reshape(-1, dim)
     return np.asarray(box[0] + unit * (box[1] - box[0]))
 
 
@@ -231,7 +233,7 @@ def _near_branches(zeros: FloatArray, shape: PathShape) -> dict[str, Any] | None
 
 
 def _nearest(points: FloatArray, x: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Returns the distance from x (n, 2) to the nearest of points (k, 2), and its number.
+    """Returns the distance from x (n, d) to the nearest of points (k, d), and its number.
 
     Infinite, and k, where there are no points.
     """
@@ -246,7 +248,7 @@ def _share(chosen: BoolArray) -> float:
 def _junctions(field: GuidingField) -> FloatArray:
     """Returns where the paths of a field branch, (B, 2)."""
     nodes = [node.place for node in field.network.nodes if node.kind == "junction"]
-    return np.reshape(nodes, (-1, 2))
+    return np.reshape(nodes, (-1, field.dim))
 
 
 def path_shape(reference: ReferencePath, branches: FloatArray, sigma: float) -> PathShape:
@@ -254,7 +256,7 @@ def path_shape(reference: ReferencePath, branches: FloatArray, sigma: float) -> 
 
     Args:
         reference: The path.
-        branches: (B, 2) where it branches.
+        branches: (B, d) where it branches.
         sigma: The noise level, in the same unit.
     """
     samples = [_sample(piece, sigma) for piece in reference.pieces]
@@ -263,7 +265,7 @@ def path_shape(reference: ReferencePath, branches: FloatArray, sigma: float) -> 
 
 
 def _sample(piece: Piece, sigma: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Returns places (n, 2), tangents (n, 2) and curvature (n,) of one piece."""
+    """Returns places (n, d), tangents (n, d) and curvature (n,) of one piece."""
     points = piece.sample(max(FEWEST_SAMPLES, round(piece.length / (SAMPLE_SPACING * sigma))))
     blur, mode = BLUR / SAMPLE_SPACING, "wrap" if piece.closed else "nearest"
     # The derivatives of the blurred path, in noise levels for each sample.
@@ -273,7 +275,8 @@ def _sample(piece: Piece, sigma: float) -> tuple[FloatArray, FloatArray, FloatAr
     )
     # A path that turns back on itself has no direction there.
     speed = np.maximum(np.linalg.norm(along, axis=1), np.finfo(np.float64).eps)
-    cross = along[:, 0] * bend[:, 1] - along[:, 1] * bend[:, 0]
-    bending = np.abs(cross) / speed**3
+    across = along[:, :, None] * bend[:, None] - along[:, None] * bend[:, :, None]
+    # Every part of the area between them is there twice.
+    bending = np.sqrt((across**2).sum(axis=(1, 2)) / 2) / speed**3
     bending[bending < STRAIGHT] = 0.0
     return points, along / speed[:, None], bending / sigma

@@ -1,7 +1,8 @@
-"""The zeros of a planar guiding field, of its score and of its tangent, and what they are."""
+"""The zeros of a guiding field, of its score and of its tangent, and what they are."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from dataclasses import field as entry
 from typing import Generic, Literal, TypeVar
 
 import numpy as np
@@ -22,8 +23,8 @@ from sgvf_drake.lyapunov.winding import box_corners, winding_number
 from sgvf_drake.lyapunov.zero_search import find_zeros
 
 KINDS = ("source", "sink", "saddle", "focus", "centre", "degenerate")
-"""What a zero can be: two real eigenvalues of one sign (source, sink) or of both (saddle), two
-complex ones (focus), two imaginary ones (centre), or not told by them."""
+"""What a zero can be: eigenvalues with real parts of both signs (saddle) or of one, all of them
+real (source, sink) or two of them complex (focus); two imaginary ones (centre), or not told."""
 
 PartName = Literal["guiding", "score", "tangent"]
 """The name of one of `PARTS`."""
@@ -42,12 +43,13 @@ Box = tuple[FloatArray, FloatArray]
 
 
 @dataclass(frozen=True, eq=False)
-class PlanarZero:
-    """A zero of a planar field, found or proved.
+class KnownZero:
+    """A zero of a field, found or proved.
 
     Attributes:
-        point: (2,) where it is, in the unit of the waypoints.
-        index: Its Poincare index.
+        point: (d,) where it is, in the unit of the waypoints.
+        index: Its Poincare index: the sign of det J of a simple one.  In space it is 1 of a
+            saddle that is left along a line, and -1 of one that is left along a surface.
         kind: One of `KINDS`, or `unknown` where bounds do not tell.
         stable: Whether it attracts all nearby; None: bounds do not tell.
     """
@@ -58,23 +60,25 @@ class PlanarZero:
     stable: bool | None
 
 
-AnyZero = TypeVar("AnyZero", bound=PlanarZero)
+AnyZero = TypeVar("AnyZero", bound=KnownZero)
 
 
 @dataclass(frozen=True, eq=False)
-class PlanarZeros(Generic[AnyZero]):
+class KnownZeros(Generic[AnyZero]):
     """The zeros of one field in a box, found or proved.
 
     Attributes:
         zeros: The zeros.
         winding_number: How often the field turns along the border of the box,
-            counter-clockwise; None: this is not proved.
+            counter-clockwise; None: this is not proved, or the field is not planar.
         undecided: Number of places where it is open whether there is a zero.
+        dim: The dimension d of the space.
     """
 
     zeros: tuple[AnyZero, ...]
     winding_number: int | None
     undecided: int
+    dim: int = entry(default=2, kw_only=True)
 
     @property
     def index_sum(self) -> int:
@@ -83,17 +87,17 @@ class PlanarZeros(Generic[AnyZero]):
 
     @property
     def points(self) -> FloatArray:
-        """Where the zeros are, (k, 2)."""
-        return np.array([zero.point for zero in self.zeros]).reshape(-1, 2)
+        """Where the zeros are, (k, d)."""
+        return np.array([zero.point for zero in self.zeros]).reshape(-1, self.dim)
 
 
 @dataclass(frozen=True, eq=False)
-class Zero(PlanarZero):
-    """A zero that the search found; see `PlanarZero`.
+class Zero(KnownZero):
+    """A zero that the search found; see `KnownZero`.
 
     Attributes:
         field: `guiding`, `score` or `tangent`.
-        eigenvalues: (2,) of the Jacobian there, complex; of a field that is normalised, and of
+        eigenvalues: (d,) of the Jacobian there, complex; of a field that is normalised, and of
             the tangent, before that.
         residual: The length of the same field there.
     """
@@ -104,8 +108,8 @@ class Zero(PlanarZero):
 
 
 @dataclass(frozen=True, eq=False)
-class FieldZeros(PlanarZeros[Zero]):
-    """The zeros that the search found in a box; see `PlanarZeros`.
+class FieldZeros(KnownZeros[Zero]):
+    """The zeros that the search found in a box; see `KnownZeros`.
 
     Attributes:
         cells: Number of cells over which the field was evaluated.
@@ -137,11 +141,11 @@ class Singularities:
 
 
 def find_singularities(field: GuidingField) -> Singularities:
-    """Finds the zeros of a planar field, of its score and of its tangent in its box.
+    """Finds the zeros of a field, of its score and of its tangent in its box.
 
     Raises:
-        ConfigurationError: The field is not planar, or vanishes along a line that leaves the
-            box.
+        ConfigurationError: The field is a directed one, or a planar one that vanishes along a
+            line that leaves the box.
     """
     check_position_alone(field)
     box, found = _find(field, PARTS)
@@ -149,29 +153,27 @@ def find_singularities(field: GuidingField) -> Singularities:
 
 
 def find_guiding_zeros(field: GuidingField) -> FieldZeros:
-    """Finds the zeros of a planar field alone; see `find_singularities`."""
+    """Finds the zeros of a field alone; see `find_singularities`."""
     _, (found,) = _find(field, ("guiding",))
     return found
 
 
 def kind_of(jacobian: FloatArray) -> str:
-    """Returns the kind of a simple zero, from the Jacobian (2, 2) there."""
+    """Returns the kind of a simple zero, from the Jacobian (d, d) there."""
     eigenvalues = np.linalg.eigvals(jacobian)
-    real, imaginary = eigenvalues.real, np.abs(eigenvalues.imag).max()
-    size = np.abs(eigenvalues).max()
-    if imaginary > NEGLIGIBLE * size:
-        return "centre" if np.abs(real).max() <= NEGLIGIBLE * size else "focus"
+    real, negligible = eigenvalues.real, NEGLIGIBLE * np.abs(eigenvalues).max()
+    turns = np.abs(eigenvalues.imag) > negligible
+    if (turns & (np.abs(real) <= negligible)).any():
+        return "centre"
     if real.min() < 0 < real.max():
         return "saddle"
+    if turns.any():
+        return "focus"
     return "source" if real.min() > 0 else "sink"
 
 
 def _find(field: GuidingField, names: Sequence[PartName]) -> tuple[Box, list[FieldZeros]]:
     """Returns the box that was searched, and the zeros of each part in it."""
-    if field.dim != 2:
-        raise ConfigurationError(
-            f"singularities are found of planar fields, not in {field.dim} dimensions"
-        )
     unnormalised = replace(field, composition=PaperComposition(field.composition.gain))
     normalises = isinstance(field.composition, NormalisedComposition)
     parts: dict[PartName, Field] = {
@@ -187,8 +189,15 @@ def _find(field: GuidingField, names: Sequence[PartName]) -> tuple[Box, list[Fie
     ]
 
 
-def _clear_box(fields: Sequence[Field], box: Box, spacing: float) -> tuple[Box, list[int]]:
-    """Returns a box on whose border no field vanishes, and their winding numbers there."""
+def _clear_box(
+    fields: Sequence[Field], box: Box, spacing: float
+) -> tuple[Box, Sequence[int | None]]:
+    """Returns a box on whose border no field vanishes, and their winding numbers there.
+
+    In space there are no such numbers, and the box stays what it is.
+    """
+    if len(box[0]) != 2:
+        return box, [None] * len(fields)
     middle, half = (box[0] + box[1]) / 2, (box[1] - box[0]) / 2
     for growth in BOX_GROWTH:
         grown = (middle - growth * half, middle + growth * half)
@@ -200,7 +209,9 @@ def _clear_box(fields: Sequence[Field], box: Box, spacing: float) -> tuple[Box, 
     raise vanishes
 
 
-def _field_zeros(name: str, field: Field, box: Box, scale: float, turns: int) -> FieldZeros:
+def _field_zeros(
+    name: str, field: Field, box: Box, scale: float, turns: int | None
+) -> FieldZeros:
     search = find_zeros(field, box, scale)
     values, jacobians = field.value_and_jacobian(search.points)
     zeros = []
@@ -218,4 +229,4 @@ def _field_zeros(name: str, field: Field, box: Box, scale: float, turns: int) ->
                 residual=float(np.linalg.norm(values[number])),
             )
         )
-    return FieldZeros(tuple(zeros), turns, search.undecided, search.cells)
+    return FieldZeros(tuple(zeros), turns, search.undecided, search.cells, dim=field.dim)

@@ -1,6 +1,6 @@
 """The figures of the singularities of a field: where they are, and the density around them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from matplotlib.artist import Artist
@@ -52,10 +52,25 @@ def singularity_figure(field: GuidingField, found: Singularities) -> Figure:
         plotting.plot_field(panel, part, found.box)
         marks["waypoints"] = plotting.plot_waypoints(panel, field.cloud.points)[0]
         marks |= plot_zeros(panel, zeros)
-        title = f"{name}: {_count(zeros)}, sum of indices {zeros.index_sum}"
-        plotting.plane_axes(panel, plotting.UNIT, title)
-    shown = [name for name in ("waypoints", *MARKS) if name in marks]
-    plotting.legend_below(figure, [marks[name] for name in shown], shown, 8)
+        plotting.plane_axes(panel, plotting.UNIT, _title(name, zeros))
+    _legend(figure, marks)
+    return figure
+
+
+def spatial_figure(field: GuidingField, found: Singularities) -> Figure:
+    """Returns the zeros of m, of the score and of the tangent in space, with the waypoints."""
+    figure = Figure(figsize=(16.5, 6.2), layout="constrained")
+    names = ("guiding field m", "score S", "tangent field v")
+    marks: dict[str, Artist] = {}
+    for number, (name, zeros) in enumerate(
+        zip(names, found.by_field.values(), strict=True), start=1
+    ):
+        panel = figure.add_subplot(1, 3, number, projection="3d")
+        (marks["waypoints"],) = panel.plot(*field.cloud.points.T, ".", color="black", ms=2)
+        marks |= plot_zeros(panel, zeros)
+        plotting.plane_axes(panel, plotting.UNIT, _title(name, zeros))
+        panel.set(zlabel=f"z [{plotting.UNIT}]")
+    _legend(figure, marks)
     return figure
 
 
@@ -168,5 +183,11 @@ def _name(zero: Zero) -> str:
     return "stable focus" if zero.stable else "unstable focus"
 
 
-def _count(zeros: FieldZeros) -> str:
-    return "1 zero" if len(zeros.zeros) == 1 else f"{len(zeros.zeros)} zeros"
+def _title(name: str, zeros: FieldZeros) -> str:
+    count = "1 zero" if len(zeros.zeros) == 1 else f"{len(zeros.zeros)} zeros"
+    return f"{name}: {count}, sum of indices {zeros.index_sum}"
+
+
+def _legend(figure: Figure, marks: Mapping[str, Artist]) -> None:
+    shown = [name for name in ("waypoints", *MARKS) if name in marks]
+    plotting.legend_below(figure, [marks[name] for name in shown], shown, 8)

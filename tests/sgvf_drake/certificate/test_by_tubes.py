@@ -11,18 +11,12 @@ from sgvf_drake.certificate import Certificate, check
 from sgvf_drake.certificate.tube import corners
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.paths import Piece, ReferencePath
-from tests.fields import exact_field, linear_network
-from tests.helpers import circle
-
-# A quarter turn about the diagonal of space, and a circle that it leaves as it is.
-SPIN = np.array([[0, -1, 1], [1, 0, -1], [-1, 1, 0]]) / np.sqrt(3)
-ACROSS = np.array([[1, -1, 0] / np.sqrt(2), [1, 1, -2] / np.sqrt(6)])
+from tests.fields import tilted_circle
 
 
 @pytest.fixture(scope="module")
 def spatial():
-    points = circle(4.0, 80) @ ACROSS
-    field = exact_field(points, linear_network(SPIN, np.zeros(3)), sigma=0.4, gain=0.8)
+    field, points = tilted_circle()
     path = ReferencePath((Piece(points, closed=True),))
     return field, path, certify(field, path)
 

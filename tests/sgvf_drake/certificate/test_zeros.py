@@ -1,9 +1,11 @@
 """Lists of zeros that are proved: complete, of the right kinds, silent where they must be."""
 
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 from sgvf_drake.certificate import enclose_zeros
 from sgvf_drake.certificate.boxes import Boxes, Division
@@ -11,11 +13,20 @@ from sgvf_drake.certificate.field_model import TAYLOR, model_field, simplify
 from sgvf_drake.certificate.isolation import isolate
 from sgvf_drake.certificate.patches import Patches
 from sgvf_drake.certificate.taylor_model import DualModel, TaylorModel
-from sgvf_drake.certificate.zeros import HALF_WIDTH, _distinct, _grid, proved_winding_number
+from sgvf_drake.certificate.zeros import (
+    HALF_WIDTH,
+    _distinct,
+    _grid,
+    _kinds,
+    _Vanishing,
+    proved_winding_number,
+)
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import NormalisedComposition, Perceptron
 from sgvf_drake.fields.activation import find_activation
-from sgvf_drake.lyapunov import find_guiding_zeros, find_singularities
+from sgvf_drake.learning import TrainingConfig, train
+from sgvf_drake.lyapunov import find_guiding_zeros, find_singularities, kind_of
+from tests.fields import linear_network, tilted_circle
 
 FULL, SLOWER = pytest.mark.full, [("paper", 5), ("exact", 4)]
 TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
@@ -210,7 +221,7 @@ def test_enclosures_of_one_zero_are_told_from_those_of_two():
 
 @dataclass(frozen=True)
 class Uncertain:
-    """Functions that are the coordinates to within 0.01, and their slopes to within 0.45."""
+    """Functions that are d coordinates to within 0.01, and their slopes to within 0.9 / d."""
 
     def model(self, patches):
         position = TaylorModel.position(patches)
@@ -218,16 +229,19 @@ class Uncertain:
 
     def dual(self, patches):
         slopes = DualModel.position(patches).slopes
-        rough = [replace(slope, remainder=slope.remainder + 0.45) for slope in slopes]
+        rough = [
+            replace(slope, remainder=slope.remainder + 0.9 / len(slopes)) for slope in slopes
+        ]
         return DualModel(self.model(patches), tuple(rough))
 
 
-def test_an_enclosure_reaches_as_far_as_its_bounds_allow_the_zero_to_be():
-    found = isolate(Uncertain(), Boxes(np.zeros((1, 2)), np.ones(1)), 0.0)
+@pytest.mark.parametrize("dim", [2, 3])
+def test_an_enclosure_reaches_as_far_as_its_bounds_allow_the_zero_to_be(dim):
+    found = isolate(Uncertain(), Boxes(np.zeros((1, dim)), np.ones(1)), 0.0)
     assert found.is_one.tolist() == [True]
     assert found.index.tolist() == [1]
     # The farthest zero is that of the flattest of these functions.
-    zero = np.linalg.solve([[0.55, -0.45], [-0.45, 0.55]], [0.01, 0.01])
+    zero = np.linalg.solve(np.eye(dim) - 0.9 / dim, np.full(dim, 0.01))
     assert np.allclose(zero, 0.1)
     assert (np.abs(found.points - zero) <= found.radius).all()
 
@@ -248,5 +262,115 @@ def test_what_nothing_bounds_is_refused(make_field):
     for field in (kinked, make_field("robust", ends=1)):
         with pytest.raises(ConfigurationError, match="smooth fields of closed paths"):
             enclose_zeros(field)
-    with pytest.raises(ConfigurationError, match="planar"):
-        enclose_zeros(make_field("robust", dim=3))
+
+
+@pytest.fixture
+def coarse(monkeypatch):
+    """First cubes so large that a field without a curve is done in no time."""
+    monkeypatch.setattr("sgvf_drake.certificate.zeros.FIRST", HALF_WIDTH / 8)
+
+
+SPIRAL = block_diag(TURN, 0.0)
+MIX = np.array([[1.0, 0.4, 0.2], [-0.3, 1.0, 0.5], [0.1, -0.6, 1.0]])
+
+
+@pytest.mark.parametrize(
+    ("matrix", "expected"),
+    [
+        (np.diag([1.0, 2.0, 3.0]), ("source", False, 1)),
+        (np.diag([-1.0, -2.0, -3.0]), ("sink", True, -1)),
+        (np.diag([-1.0, -2.0, 3.0]), ("saddle", False, 1)),
+        (np.diag([-1.0, 2.0, 3.0]), ("saddle", False, -1)),
+        (SPIRAL - np.eye(3), ("focus", True, -1)),
+        (SPIRAL + np.diag([0.1, 0.1, 2.0]), ("focus", False, 1)),
+        (SPIRAL + np.diag([0.1, 0.1, -2.0]), ("saddle", False, -1)),
+        # Rounding makes something else of what does not turn in or out.
+        (SPIRAL + np.diag([0.0, 0.0, -2.0]), ("unknown", None, -1)),
+    ],
+)
+def test_the_zero_of_a_linear_field_in_space(make_field, coarse, matrix, expected):
+    z = np.array([0.3, -0.7, 1.1])
+    network = linear_network(MIX @ matrix @ np.linalg.inv(MIX), z)
+    field = replace(make_field("paper", dim=3), tangent_network=network)
+    found = enclose_zeros(field, "tangent")
+    (zero,) = found.zeros
+    assert (zero.kind, zero.stable, zero.index) == expected
+    assert (np.abs(zero.point - field.cloud.denormalize(z)) <= zero.radius).all()
+    assert zero.radius < 1e-9
+    assert found.complete
+    assert found.winding_number is None
+    assert found.points.shape == (1, 3)
+
+
+@dataclass(frozen=True)
+class Quadrics:
+    """The functions x^2 - 1, y^2 + x / 2 - 4 and z^2 + 0.3 x y - 2, which have eight zeros."""
+
+    def of(self, position):
+        x, y, z = (position.functions(slice(k, k + 1)) for k in range(3))
+        second = (y * y + x.scaled(0.5)).shifted(-4.0)
+        third = (z * z + (x * y).scaled(0.3)).shifted(-2.0)
+        return (x * x).shifted(-1.0).joined(second, third)
+
+    def model(self, patches):
+        return self.of(TaylorModel.position(patches))
+
+    def dual(self, patches):
+        return self.of(DualModel.position(patches))
+
+
+def test_the_zeros_of_quadrics_in_space(coarse):
+    found = _Vanishing(Quadrics(), HALF_WIDTH, 1e-15).prove(3)
+    facts, ambiguous = _distinct(found)
+    assert (len(found.undecided), ambiguous, len(facts)) == (0, 0, 8)
+    for x, b, c in product((-1.0, 1.0), repeat=3):
+        y = b * np.sqrt(4 - x / 2)
+        zero = np.array([x, y, c * np.sqrt(2 - 0.3 * x * y)])
+        (same,) = np.flatnonzero(np.abs(facts[:, 3:6] - zero).max(axis=1) <= facts[:, -2])
+        assert facts[same, -1] == x * b * c
+    # Where a direction is told, the functions point along it, in the corners and in between.
+    told = ~np.isnan(found.facts[:, 0])
+    boxes, u = found.boxes[told], found.facts[told, :3]
+    for step in product((-1.0, 0.3, 1.0), repeat=3):
+        points = Patches.points(boxes.centers + boxes.half[:, None] * step)
+        assert ((Quadrics().model(points).value * u).sum(axis=1) > 0).all()
+
+
+def test_kinds_in_space_are_those_that_eigenvalues_tell():
+    J = np.random.default_rng(5).standard_normal((500, 3, 3))
+    slopes = [TaylorModel(J[:, None, :, i].copy(), np.zeros((500, 3))) for i in range(3)]
+    found = _kinds(DualModel(slopes[0], tuple(slopes)), np.sign(np.linalg.det(J)))
+    kinds = [kind_of(matrix) for matrix in J]
+    assert [kind for kind, _ in found] == kinds
+    assert set(kinds) == {"source", "sink", "saddle", "focus"}
+    largest = np.linalg.eigvals(J).real.max(axis=1)
+    assert [stable for _, stable in found] == (largest < 0).tolist()
+
+
+def test_what_would_need_too_many_cubes_is_left_undecided(make_field, coarse, monkeypatch):
+    monkeypatch.setattr("sgvf_drake.certificate.zeros.MOST_CUBES", 5_000)
+    # Zeros all along a line.
+    network = linear_network(SPIRAL, np.zeros(3))
+    field = replace(make_field("paper", dim=3), tangent_network=network)
+    found = enclose_zeros(field, "tangent")
+    assert found.boxes <= 5_000
+    assert found.undecided > 0
+    assert found.zeros == ()
+
+
+@pytest.mark.full
+def test_a_circle_in_space_has_one_zero():
+    """At its centre, by symmetry; of a trained field close to it, and it is the one found."""
+    exact = tilted_circle()[0]
+    (zero,) = enclose_zeros(exact).zeros
+    assert (np.abs(zero.point) <= zero.radius).all()
+    assert (zero.kind, zero.index, zero.stable) == ("saddle", -1, False)
+    field = train(exact.cloud, TrainingConfig(recipe="robust", seed=0)).field
+    proved, found = enclose_zeros(field), find_guiding_zeros(field)
+    assert proved.complete
+    assert len(proved.zeros) == len(found.zeros) > 0
+    for zero, same in zip(proved.zeros, found.zeros, strict=True):
+        assert (np.abs(zero.point - same.point) <= zero.radius + 1e-9).all()
+        assert (zero.index, zero.kind, zero.stable) == (same.index, same.kind, same.stable)
+    # Both point inward on the border, where their indices add up to (-1)^3.
+    assert proved.index_sum == -1

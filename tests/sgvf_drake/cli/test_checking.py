@@ -1,15 +1,18 @@
 """The commands `verify`, `certify` and `singularities`: what they print, leave and refuse."""
 
 from dataclasses import replace
+import re
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from sgvf_drake.certificate import Certificate
+from sgvf_drake.certificate.zeros import HALF_WIDTH
 from sgvf_drake.clouds import PointCloud
 from sgvf_drake.fields import load_field
 from tests.data.make import FOLDER, field_file
-from tests.fields import TURN, exact_field, linear_network
+from tests.fields import TURN, exact_field, linear_network, tilted_circle
 from tests.helpers import circle, ink, names_in, summary_of
 
 CERTIFICATE = FOLDER.parent / "certificates" / "ring.json"
@@ -37,6 +40,7 @@ def fields(tmp_path_factory, make_field):
         ("stopping", replace(ring, tangent_network=linear_network([[1.0, 0.0], [0.0, 0.0]]))),
         ("open", make_field("robust", ends=1)),
         ("spatial", make_field("robust", 3)),
+        ("tilted", tilted_circle()[0]),
     ):
         # The cloud has no shape that a reference could be made of.
         field = replace(field, cloud=PointCloud(field.cloud.points))
@@ -255,6 +259,25 @@ def test_zeros_are_proved_on_request(run, fields, tmp_path, capsys):
     assert np.abs([zero["x"], zero["y"]]).max() <= zero["radius"] < 1e-9
 
 
+def test_the_zeros_of_a_circle_in_space(run, fields, tmp_path, capsys, monkeypatch):
+    # Its tangent vanishes along a line: more cubes than are affordable.
+    monkeypatch.setattr("sgvf_drake.certificate.zeros.MOST_CUBES", 1_000)
+    monkeypatch.setattr("sgvf_drake.certificate.zeros.FIRST", HALF_WIDTH / 8)
+    out = tmp_path / "out"
+    assert run("singularities", fields / "tilted.safetensors", "--prove", "--out", out) == 0
+    words = words_of(capsys.readouterr().out)
+    assert "guiding field 1 saddle left along a surface; indices sum up to -1 zeros" in words
+    assert re.search(r"proved of the tangent 0 enclosed, \d+ cubes undecided", words)
+    assert "winding" not in words
+    summary, table = summary_of(out), pd.read_csv(out / "zeros.csv")
+    assert summary["winding_number"] is None
+    assert not summary["proved"]["tangent"]["complete"]
+    assert names_in(out) == {"summary.json", "zeros.csv", "singularities.png"}
+    assert np.allclose(table.loc[0, ["x", "y", "z"]].astype(float), 0, atol=1e-9)
+    assert table.loc[0, "unstable_directions"] == 2
+    assert table.loc[0, "eigenvalue_3_imag"] == summary["zeros"][0]["eigenvalues"][2][1]
+
+
 # Bad input. A name ending in .safetensors or .json is that of a file of `fields`.
 
 CHECK = ("--check", CERTIFICATE)
@@ -270,7 +293,6 @@ BAD = [
     ("verify", ("broken",), NO_FIELD),
     ("verify", ("missing",), "missing.safetensors: no such file"),
     ("singularities", ("open", "--prove"), "zeros are enclosed of smooth fields of closed"),
-    ("singularities", ("spatial",), "found of planar fields, not in 3 dimensions"),
     ("singularities", ("sparse", "--columns", "x,y"), COLUMNS),
     ("certify", ("stopping", *CHECK), "another field"),
     ("certify", ("ring", *CHECK, "--speed", 1.5, "--scale", 0.25), "another field"),

@@ -58,17 +58,18 @@ class Polynomial(Planted):
 
 
 class Written(Planted):
-    """A field and its Jacobian, of two expressions in x and y."""
+    """A field and its Jacobian, of two expressions in x and y, or three in x, y and z."""
 
     def __init__(self, *parts):
-        variables = sympy.symbols("x y")
+        self.dim = len(parts)
+        variables = sympy.symbols("x y z")[: self.dim]
         field = sympy.Matrix([sympy.sympify(part) for part in parts])
         both = field.row_join(field.jacobian(variables))
         self.entries = [sympy.lambdify(variables, entry) for entry in both]
 
     def value_and_jacobian(self, x):
         entries = [np.broadcast_to(entry(*x.T), len(x)) for entry in self.entries]
-        both = np.stack(entries, axis=1).reshape(-1, 2, 3)
+        both = np.stack(entries, axis=1).reshape(-1, self.dim, self.dim + 1)
         return both[..., 0], both[..., 1:]
 
 
@@ -255,10 +256,50 @@ def test_a_line_of_zeros_out_of_the_box_is_refused():
         find_zeros(line, BOX)
 
 
-def test_other_dimensions_are_refused(make_field):
-    for field in (make_field("robust", dim=3), Polynomial((0j,))):
-        with pytest.raises(ConfigurationError, match="planar"):
-            find_zeros(field, (np.zeros(3), np.ones(3)))
+def test_a_box_of_another_dimension_is_refused(make_field):
+    for field, dim in ((make_field("robust", dim=3), 2), (Polynomial((0j,)), 3)):
+        with pytest.raises(ConfigurationError, match=f"in {field.dim}-D are found in boxes"):
+            find_zeros(field, (np.zeros(dim), np.ones(dim)))
+
+
+CUBE = (np.full(3, -2.6), np.full(3, 2.5))
+
+
+def test_planted_zeros_in_space_are_found():
+    field = Written("(x - 1) * (x + 2)", "(y - 0.5) * (y + x)", "z + x * y")
+    points = np.array([(1, 0.5, -0.5), (1, -1, 1), (-2, 0.5, 1), (-2, 2, 4)])
+    box = (np.full(3, -5.0), np.full(3, 5.0))
+    # det J is (2 x + 1) (2 y + x - 0.5).
+    check_planted(find_zeros(field, box, 0.5), points, [1, -1, 1, -1])
+    # On the lines of cells, and on the border, too.
+    search = find_zeros(field, (np.full(3, -2.0), np.array([2.0, 2.0, 4.0])), 0.25)
+    check_planted(search, points, [1, -1, 1, -1])
+
+
+def test_a_grid_of_zeros_in_space():
+    sines = [f"sin(pi * {name})" for name in "xyz"]
+    skew = ((3.0, 1.0, 0.0), (2.9, 1.2, 0.3), (0.1, 0.4, 1.0))
+    field = Written(*(sympy.Matrix(skew) * sympy.Matrix(sines)))
+    grid = np.stack(np.meshgrid(*[np.arange(-2, 3)] * 3), axis=-1).reshape(-1, 3)
+    indices = np.where(grid.sum(axis=1) % 2 == 0, 1, -1) * np.sign(np.linalg.det(skew))
+    check_planted(find_zeros(field, CUBE, 0.3), grid, indices)
+
+
+@pytest.mark.parametrize(
+    ("parts", "simple"),
+    [
+        # A ring, along which two of three directions are steep.
+        (("x**2 + y**2 - 1", "z", "z * x"), 0),
+        # A sphere, across which one is; and the zero at its centre.
+        ([f"(1 - x**2 - y**2 - z**2) * {name}" for name in "xyz"], 1),
+    ],
+)
+def test_lines_and_surfaces_of_zeros_in_space_are_one_undecided_place(parts, simple):
+    search = find_zeros(Written(*parts), CUBE, 0.2)
+    assert search.undecided == 1
+    assert search.degenerate.tolist() == [False] * simple + [True]
+    assert search.indices.tolist() == [1] * simple + [0]
+    assert np.linalg.norm(search.points[-1]) == pytest.approx(1)
 
 
 def test_the_score_of_equal_waypoints_on_rings(ring_field):

@@ -5,10 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
-from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import NormalisedComposition, ScoreField
 from sgvf_drake.lyapunov import find_singularities, kind_of
+from tests.fields import tilted_circle
 
 TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
 SKEW = np.array([[2.0, 1.0], [0.3, 1.5]])
@@ -27,12 +28,19 @@ SKEW = np.array([[2.0, 1.0], [0.3, 1.5]])
         (-5 * TURN, "centre"),
         (TURN + 1e-3 * np.eye(2), "focus"),
         (TURN - np.eye(2), "focus"),
+        (np.diag([1.0, 2.0, 3.0]), "source"),
+        (np.diag([-1.0, -2.0, -3.0]), "sink"),
+        (np.diag([-1.0, 2.0, 3.0]), "saddle"),
+        (block_diag(TURN - np.eye(2), -2.0), "focus"),
+        (block_diag(TURN - np.eye(2), 2.0), "saddle"),
+        (block_diag(TURN, 2.0), "centre"),
     ],
 )
 def test_kinds_follow_from_the_eigenvalues(jacobian, kind):
     assert kind_of(jacobian) == kind
     # They do not depend on the coordinates, nor on a positive factor.
-    moved = SKEW @ jacobian @ np.linalg.inv(SKEW)
+    skew = block_diag(SKEW, 1.0) if len(jacobian) == 3 else SKEW
+    moved = skew @ jacobian @ np.linalg.inv(skew)
     assert kind_of(1e-4 * moved) == kind
 
 
@@ -116,9 +124,20 @@ def test_a_zero_on_the_border_of_the_box_is_in_a_larger_one(ring_field, linear):
     assert np.allclose(found.tangent.points, [field.cloud.denormalize([5, 1])])
 
 
-def test_only_planar_fields_have_them(make_field):
-    with pytest.raises(ConfigurationError, match="not in 3 dimensions"):
-        find_singularities(make_field("exact", dim=3))
+def test_those_of_a_circle_in_space():
+    found = find_singularities(tilted_circle()[0])
+    # By symmetry they are on its axis: there v is zero, and the score points to the centre.
+    (centre,) = found.guiding.zeros
+    assert np.abs(centre.point).max() < 1e-9
+    assert (centre.kind, centre.index, centre.stable) == ("saddle", -1, False)
+    assert (centre.eigenvalues.real > 0).sum() == 2
+    assert found.guiding.undecided == 0
+    # The waypoints are so close together that the score vanishes all along the circle.
+    simple = [zero for zero in found.score.zeros if zero.kind != "degenerate"]
+    assert [zero.kind for zero in simple] == ["saddle"]
+    assert np.abs(simple[0].point).max() < 1e-9
+    assert found.score.undecided == found.tangent.undecided == 1
+    assert all(zeros.winding_number is None for zeros in found.by_field.values())
 
 
 def test_the_zeros_are_those_of_the_parts(robust_field, robust_zeros):
