@@ -158,6 +158,8 @@ def divide(
     parts: Parts,
     ask: Callable[[Parts, int], Answer],
     halves: Callable[[Parts], Parts] = Parts.halves,
+    *,
+    halvings: int = HALVINGS,
 ) -> Division:
     """Halves parts until a question is decided on each, or as often as may be.
 
@@ -165,9 +167,10 @@ def divide(
         parts: The parts.
         ask: Tells what is known of parts that were halved so often.
         halves: Halves parts; along the tube, if nothing else is told.
+        halvings: How often, at most.
     """
     done, facts, left, asked = [], [], [], 0
-    for depth in range(HALVINGS + 1):
+    for depth in range(halvings + 1):
         again = []
         for first in range(0, len(parts), CHUNK):
             chunk = parts[first : first + CHUNK]
@@ -180,7 +183,7 @@ def divide(
         parts = join(again)
         if not len(parts):
             break
-        if depth < HALVINGS:
+        if depth < halvings:
             parts = halves(parts)
     left.append(parts.cell)
     return Division(join(done), np.concatenate(facts), np.concatenate(left), asked)

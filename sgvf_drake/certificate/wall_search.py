@@ -22,6 +22,8 @@ from sgvf_drake.paths import Piece, ReferencePath
 ANGLES = (0.15, 0.4, 0.7, 1.0, 1.2)
 # A wall turns from vertex to vertex by no more than this share of its angle.
 SHARE = 0.5
+# Places of a closed orbit at which the next one is looked for.
+STARTS = 5
 # Points of an orbit in each normalised unit of its length.
 FINENESS = 200
 # Over so many distances between two walls the spacing of their vertices evens out.  Each vertex
@@ -54,7 +56,7 @@ class Ladder:
         for angle in ANGLES:
             outer = []
             for turn, before in zip((angle, -angle), inner, strict=True):
-                found = closed_orbit(field, before[0], orbit.duration, turn=turn)
+                found = _turned_orbit(field, before, orbit.duration, turn)
                 if found is None:
                     return cls(times, _stacked(rungs, len(times)))
                 outer.append(_across(before, found))
@@ -80,6 +82,20 @@ class Ladder:
         """Returns the walls with vertices at some times, (K,)."""
         curves = make_interp_spline(self.times, self.rungs, k=1, axis=2)(times)
         return Walls.through(curves[:, 0], curves[:, 1])
+
+
+def _turned_orbit(
+    field: BoundedField, points: FloatArray, duration: float, turn: float
+) -> Orbit | None:
+    """Returns the closed orbit of m turned by an angle, from points of a nearby one; or None.
+
+    Where legs of a tip run side by side, it may not be seen where an orbit closes.
+    """
+    for start in points[:: len(points) // STARTS][:STARTS]:
+        found = closed_orbit(field, start, duration, turn=turn)
+        if found is not None:
+            return found
+    return None
 
 
 def _stacked(rungs: list[list[FloatArray]], count: int) -> FloatArray:

@@ -37,6 +37,8 @@ from sgvf_drake.paths import Piece, ReferencePath
 Polygon = tuple[tuple[int, int], ...]
 # Beyond the rounding of coordinates, by far.
 OFF = 1e-9
+# Cells are halved so often, at most, along or across.
+HALVINGS = 8
 # Parts of cells and of walls are halved until the bound of the speed at which m crosses is such
 # a part of that at the middle, or so often.
 SHARP, SHARPEST, FOR_SPEED = 0.5, 0.9, 2
@@ -226,7 +228,8 @@ def _cross(field: BoundedField, inner: FloatArray, outer: FloatArray, side: int)
     rows = np.stack([(inner + outer) / 2, side * (outer - inner) / 2], axis=1)
     cells = Parts(rows, np.roll(rows, -1, axis=0), np.arange(len(rows)))
     widest = np.linalg.norm([cells.start[:, 1], cells.end[:, 1]], axis=2).max(axis=0)
-    return divide(cells, partial(_ask_inward, field, -side, widest), Parts.longer_halves)
+    ask = partial(_ask_inward, field, -side, widest)
+    return divide(cells, ask, Parts.longer_halves, halvings=HALVINGS)
 
 
 def _tolerated(field: BoundedField, polygon: FloatArray, side: int) -> Division:
