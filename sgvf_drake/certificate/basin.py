@@ -17,6 +17,7 @@ does not change if m is multiplied by a positive function, so that of `direction
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -47,6 +48,7 @@ CHUNK = 1000
 FEW, MOST_AT_ONCE = 0.03, 15_000
 # What leads there is divided while robots are proved to come from so much more of the box.
 GAIN = 0.005
+# As often as squares are divided in all, about: for who is told of the progress.
 ROUNDS = 12
 # Squares on walls are divided to this part of the distance between them.
 FIT = 0.25
@@ -203,8 +205,8 @@ def find_basin(
     """
     known, lost = _Known.of(field, _around(walls), walls), 1.0
     evaluated = known.evaluated
-    for number in range(ROUNDS):
-        progress("cells", number, ROUNDS)
+    for number in count():
+        progress("cells", min(number, ROUNDS), ROUNDS)
         graph = _graph(known)
         divisible = _staying(field, known, graph)
         if not divisible.any():

@@ -61,8 +61,8 @@ class Certificate(Document):
         certified: Whether every piece of the path has a thin tube: what enters it follows the
             piece for ever, or to rest at its end.
         reason: Why it is so or not, in words.
-        field_digest: Of the field.
-        tubes: Of each piece of the path a thin tube around its orbit; None: none was found.
+        field_digest: That of the field.
+        tubes: A thin tube around the orbit of each piece; None: none was found.
         walls: The walls around each of these, between which all comes to it; None: there are
             none, as of open pieces and in space.
         orbit_half_width: Largest distance between the thin tubes and the path, at most.
@@ -71,7 +71,7 @@ class Certificate(Document):
         area_fraction: Part of the box from which every robot comes between walls, at least.
         almost_fraction: Part of the box from which almost every robot does, at least.
         excluded: The sets of squares in which robots may stay, the largest first.
-        pieces: Of each piece of the path.
+        pieces: What is proved of each piece.
         levels: What is proved of level sets of V; None: it was not asked.
         counterexample: (2,) a point where m vanishes on a piece without a tube; None: none was
             found.

@@ -114,19 +114,19 @@ def _claimed(certificate: Certificate, field: GuidingField) -> tuple[ProposeTube
     """Returns what gives the tubes, the walls and the cells of a certificate, proved."""
 
     def known(piece: int, _: FloatArray) -> FoundTube | None:
-        if piece >= len(certificate.tubes):
+        if piece >= min(len(certificate.tubes), len(certificate.walls)):
             return None
         tube, walls = certificate.tubes[piece], certificate.walls[piece]
         if tube is None or tube.rows.shape[1] != field.dim:
             return None
         proof = prove_tube(field, tube)
-        if walls is None:
+        if walls is None or not walls.fit(tube):
             return FoundTube(tube, proof)
         found = prove_walls(field, tube, walls)
         return FoundTube(tube, proof, walls if found.proved == len(walls) else None, found)
 
     def prove(walls: Sequence[Walls]) -> Basin | None:
-        if certificate.cells is None:
+        if certificate.cells is None or not walls:
             return None
         return prove_basin(field, Cells.of(certificate.cells), walls)
 
@@ -139,13 +139,18 @@ def _with_levels(found: Certificate, proof: LevelsProof) -> Certificate:
 
 
 def _located(field: GuidingField, reference: ReferencePath, found: Certificate) -> Certificate:
-    """Returns a certificate with a zero of m on a piece without a tube, if there is one."""
-    if found.certified or field.dim != 2:
+    """Returns a certificate with a zero of m on a piece without a tube, if there is one.
+
+    Of closed pieces: at the end of an open one there is a zero as it should be.
+    """
+    pieces = [
+        piece
+        for piece, tube in zip(reference.pieces, found.tubes, strict=True)
+        if tube is None and piece.closed
+    ]
+    if not pieces or field.dim != 2:
         return found
     stops = find_guiding_zeros(field).points
-    pieces = [
-        piece for piece, tube in zip(reference.pieces, found.tubes, strict=True) if tube is None
-    ]
     distance = ReferencePath(tuple(pieces)).project(stops).distance
     if not len(stops) or distance.min() > field.sigma * field.cloud.unit_length:
         return found

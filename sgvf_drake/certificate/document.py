@@ -104,7 +104,7 @@ def bounds_hold(
         claimed: What is claimed, of the same type.
         at_least: The names of lower bounds: numbers, tuples of them, or None.
         at_most: Those of upper bounds.
-        tolerance: For rounding: on other machines the last bits of bounds differ.
+        tolerance: What rounding may change: on other machines the last bits differ.
     """
     lower = ((getattr(mine, name), getattr(claimed, name)) for name in at_least)
     upper = ((getattr(claimed, name), getattr(mine, name)) for name in at_most)

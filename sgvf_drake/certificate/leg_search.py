@@ -87,7 +87,7 @@ class Obstacle:
     """Why there is no proved leg.
 
     Attributes:
-        reason: In words.
+        reason: A sentence.
         place: (d,) where a robot ended that did not come into the next disk, or else the middle
             of the first one, in the unit of who tells it.
     """

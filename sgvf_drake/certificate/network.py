@@ -19,7 +19,7 @@ class EdgeDisks:
     Attributes:
         number: The edge, from 1; negative if it is travelled from its end to its start.
         guards: Which of the guards of its cut they are at, from 0, from the first to the last.
-        disks: In the order of travel; None where no robot was found to come.
+        disks: The disks in the order of travel; None where no robot was found to come.
     """
 
     number: int
@@ -80,7 +80,7 @@ class Place:
     Attributes:
         before: The number of the edge that it begins on.
         after: That of the edge which it leads into; None: it leads to rest.
-        index: Of a section its place on the edge, from 0; None: it begins at the last disk.
+        index: The place of a section on the edge, from 0; None: it begins at the last disk.
     """
 
     before: int
@@ -180,8 +180,8 @@ class NetworkCertificate(Document):
         certified: Whether all that was asked for is proved: every section and turn of a route,
             or of the whole network.
         reason: Why it is so or not, in words.
-        field_digest: Of the field.
-        disks: Of every edge that can be travelled, in each direction.
+        field_digest: That of the field.
+        disks: Those of every edge that can be travelled, in each direction.
         stretches: The sections, the turns, and the ways to ends.
         route: The edges of a route; None: none was asked for.
         route_closed: Whether it repeats.

@@ -93,7 +93,7 @@ class NetworkSearch:
         """Returns legs, or why one was not found.
 
         Args:
-            wanted: Of each the intended direction, the disk in which it begins, that in which
+            wanted: The intended direction of each, the disk in which it begins, that in which
                 it ends, if there is one, and the point of the path there, normalised.
         """
         legs, near = [], NEAR * self.field.sigma

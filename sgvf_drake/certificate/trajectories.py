@@ -66,7 +66,7 @@ def closed_orbit(
         field: m.
         start: (d,) where to start, normalised.
         length: About the time of a lap.
-        turn: By how much m is turned counter-clockwise first, in the plane, rad.
+        turn: The angle by which m is turned counter-clockwise first, in the plane, rad.
     """
     rate = _rate(field) if turn == 0.0 else _turned(_rate(field), turn)
     place = _run(rate, start, SETTLING * length).y[:, -1]

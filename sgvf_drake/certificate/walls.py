@@ -20,7 +20,7 @@ it than that on the left (`Walls.hold`).
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -95,16 +95,28 @@ class Walls:
     def __getitem__(self, rows: slice) -> "Walls":
         return Walls(self.left[rows], self.right[rows])
 
+    @cached_property
+    def _polygons(self) -> dict[int, FloatArray]:
+        """By the side, since a live flight asks for them all the time."""
+        return {1: TICK * np.array(self.left, float), -1: TICK * np.array(self.right, float)}
+
     def polygons(self, side: int) -> FloatArray:
         """Returns the walls on the left (1) or the right (-1), (p, K, 2), normalised."""
-        return TICK * np.array(self.left if side > 0 else self.right, float)
+        return self._polygons[side]
+
+    def fit(self, tube: Tube) -> bool:
+        """Whether they have a vertex for each section of a closed tube in the plane."""
+        sections = np.array(tube.sections)
+        return tube.closed and self.polygons(1).shape[1:] == sections.shape[:2]
 
     def hold(self, boxes: Boxes) -> tuple[BoolArray, BoolArray]:
         """Tells which squares (n,) are all between the outermost walls, and which none of."""
+        return self._held_by(-1, boxes)
+
+    def _held_by(self, pair: int, boxes: Boxes) -> tuple[BoolArray, BoolArray]:
         winds, apart = np.zeros(len(boxes)), np.ones(len(boxes), bool)
         for side in (1, -1):
-            polygon = self.polygons(side)[-1]
-            turns, met = _around(polygon, boxes.centers, boxes.half)
+            turns, met = _around(self.polygons(side)[pair], boxes.centers, boxes.half)
             winds -= side * turns
             apart &= ~met
         return apart & (winds > 0), apart & (winds <= 0)
@@ -112,7 +124,7 @@ class Walls:
     def count_around(self, points: FloatArray) -> IntArray:
         """Returns how many pairs hold each of normalised points (n, 2), from the outermost."""
         boxes = Boxes.points(points)
-        held = [self[:pair].hold(boxes)[0] for pair in range(1, len(self) + 1)]
+        held = [self._held_by(pair, boxes)[0] for pair in range(len(self))]
         return np.asarray(np.sum(held, axis=0))
 
     def half_widths(self, tube: Tube) -> list[float]:
@@ -198,7 +210,7 @@ def prove_walls(field: BoundedField, tube: Tube, walls: Walls) -> WallsProof:
         ValueError: If the walls are not those of such a tube.
     """
     check_rounding()
-    if not tube.closed or np.array(walls.left).shape[1:] != (len(tube.sections), 2):
+    if not walls.fit(tube):
         raise ValueError("walls have a vertex for each section of a closed tube in the plane")
     middle, half = tube.rows[:-1, 0], tube.rows[:-1, 1]
     inner = {side: middle + side * half for side in (1, -1)}

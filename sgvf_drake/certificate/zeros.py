@@ -327,7 +327,7 @@ def _signs_in_space(
     """
 
     def minor(a: int, b: int, c: int, d: int) -> TaylorModel:
-        """Of rows a and b and columns c and d."""
+        """The minor of rows a and b and columns c and d."""
         return J[a][c] * J[b][d] - J[a][d] * J[b][c]
 
     t = J[0][0] + J[1][1] + J[2][2]

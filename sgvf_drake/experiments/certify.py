@@ -1,10 +1,13 @@
 """Certify a field: the proof, its file, its figure, and the check of a certificate."""
 
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from os import PathLike
-from typing import Any
+from typing import Any, TypeVar
 
-from sgvf_drake.certificate import Certificate, certify, check
+from matplotlib.figure import Figure
+
+from sgvf_drake.certificate import Certificate, NetworkCertificate, certify, check
 from sgvf_drake.compiling import timed
 from sgvf_drake.experiments.certified import CERTIFICATE, CERTIFICATE_FIGURE
 from sgvf_drake.experiments.figures.certificate import certificate_figure
@@ -16,9 +19,12 @@ from sgvf_drake.experiments.results import (
     save_figure,
     write_summary,
 )
-from sgvf_drake.fields import GuidingField
+from sgvf_drake.fields import DirectedField, GuidingField
 from sgvf_drake.paths import ReferencePath
 from sgvf_drake.progress import Progress, no_progress
+
+AnyField = TypeVar("AnyField", GuidingField, DirectedField)
+AnyProof = TypeVar("AnyProof", Certificate, NetworkCertificate)
 
 CERTIFY_FILES = (SUMMARY, CERTIFICATE, CERTIFICATE_FIGURE)
 # Of a certificate's levels, by their names in the summary.
@@ -47,21 +53,54 @@ def run_certify(
             field.
     """
     path, kind = reference or choose_reference(field)
+
+    def prove() -> Certificate:
+        if claimed is not None:
+            return check(claimed, field, path)
+        return certify(field, path, levels=levels, progress=progress)
+
+    def told(found: Certificate) -> dict[str, Any]:
+        return {**certificate_summary(found), "reference": kind}
+
+    return leave_proof(
+        *(field, out, prove, certificate_figure, told),
+        checked=claimed is not None,
+        overwrite=overwrite,
+    )
+
+
+def leave_proof(
+    field: AnyField,
+    out: str | PathLike[str],
+    prove: Callable[[], AnyProof],
+    draw: Callable[[AnyField, AnyProof], Figure],
+    told: Callable[[AnyProof], Mapping[str, Any]],
+    *,
+    checked: bool,
+    overwrite: bool,
+) -> dict[str, Any]:
+    """Proves something of a field; leaves the certificate, its figure and the summary.
+
+    Args:
+        field: The field.
+        out: The folder of the results.
+        prove: Returns the certificate.
+        draw: Returns its figure.
+        told: Returns what the summary tells of it.
+        checked: Whether it was claimed before.
+        overwrite: Whether results that are there are replaced.
+    """
     with result_folder(out, CERTIFY_FILES, overwrite=overwrite) as folder:
         with timed() as watch:
-            if claimed is None:
-                found = certify(field, path, levels=levels, progress=progress)
-            else:
-                found = check(claimed, field, path)
+            found = prove()
         found.save(folder / CERTIFICATE)
-        save_figure(certificate_figure(field, found), folder / CERTIFICATE_FIGURE)
+        save_figure(draw(field, found), folder / CERTIFICATE_FIGURE)
         summary = {
-            **certificate_summary(found),
-            "checked": claimed is not None,
+            **told(found),
+            "checked": checked,
             "time_s": watch.wall_s,
             "cpu_s": watch.cpu_s,
             "unit_length": field.cloud.unit_length,
-            "reference": kind,
             **origin(field),
         }
         write_summary(folder, summary)

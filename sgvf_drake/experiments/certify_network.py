@@ -5,16 +5,8 @@ from typing import Any
 
 from sgvf_drake.certificate import NetworkCertificate, certify_network, check_network
 from sgvf_drake.certificate.network import Stretch
-from sgvf_drake.compiling import timed
-from sgvf_drake.experiments.certified import CERTIFICATE, CERTIFICATE_FIGURE
-from sgvf_drake.experiments.certify import CERTIFY_FILES
+from sgvf_drake.experiments.certify import leave_proof
 from sgvf_drake.experiments.figures.network_certificate import network_certificate_figure
-from sgvf_drake.experiments.results import (
-    origin,
-    result_folder,
-    save_figure,
-    write_summary,
-)
 from sgvf_drake.fields import DirectedField
 from sgvf_drake.paths.itinerary import Itinerary
 from sgvf_drake.progress import Progress, no_progress
@@ -39,24 +31,17 @@ def run_certify_network(
         ConfigurationError: Nothing bounds the field, or what is claimed is claimed of another
             field.
     """
-    with result_folder(out, CERTIFY_FILES, overwrite=overwrite) as folder:
-        with timed() as watch:
-            if claimed is None:
-                found = certify_network(field, route, progress=progress)
-            else:
-                found = check_network(claimed, field, progress)
-        found.save(folder / CERTIFICATE)
-        save_figure(network_certificate_figure(field, found), folder / CERTIFICATE_FIGURE)
-        summary = {
-            **network_summary(found),
-            "checked": claimed is not None,
-            "time_s": watch.wall_s,
-            "cpu_s": watch.cpu_s,
-            "unit_length": field.cloud.unit_length,
-            **origin(field),
-        }
-        write_summary(folder, summary)
-    return summary
+
+    def prove() -> NetworkCertificate:
+        if claimed is not None:
+            return check_network(claimed, field, progress)
+        return certify_network(field, route, progress=progress)
+
+    return leave_proof(
+        *(field, out, prove, network_certificate_figure, network_summary),
+        checked=claimed is not None,
+        overwrite=overwrite,
+    )
 
 
 def network_summary(found: NetworkCertificate) -> dict[str, Any]:

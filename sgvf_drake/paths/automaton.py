@@ -27,7 +27,7 @@ class EdgeCut:
     """An edge in one direction of travel, with the sections between its nodes.
 
     Attributes:
-        number: Of the edge, from 1; negative if it is travelled from its end to its start.
+        number: That of the edge, from 1; negative if it is travelled from its end to its start.
         line: (M, d) its polyline in the direction of travel, in the unit of the network.
         closed: Whether it is a loop without a node.
         guards: (n + 1,) arc lengths: n sections lie between them.
@@ -64,7 +64,7 @@ class Automaton:
 
     Attributes:
         edges: The cut of each edge that can be travelled, by its number.
-        turns: Of an edge and one that can follow it, the arc length on the first from which on
+        turns: By an edge and one that can follow it, the arc length on the first from which on
             the direction of the exit is intended.
     """
 
@@ -100,7 +100,7 @@ class Automaton:
         last guard that is kept on.
 
         Args:
-            guards: Of each edge the places of the guards that are kept, from 0; the first and
+            guards: The places of the guards that are kept, by the edge, from 0; the first and
                 the last among them.
         """
         return Automaton(

@@ -5,14 +5,12 @@ python -m tests.benchmarks.certificates shapes circuits --courses Austin.csv Spa
 
 import argparse
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 import itertools
 from pathlib import Path
 import time
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from scipy.integrate import solve_ivp
 
 import sgvf_drake as sgvf
@@ -24,6 +22,7 @@ from sgvf_drake.experiments import as_flown
 from sgvf_drake.fields import GuidingField
 from sgvf_drake.learning import TrainingConfig, train
 from sgvf_drake.paths import make_shape
+from tests.benchmarks.measuring import printed
 from tests.networks import recorded_motions, recorded_passes
 
 Row = dict[str, Any]
@@ -217,11 +216,9 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=3, help="fields of each shape")
     parser.add_argument("--jobs", type=int, default=1)
     options = parser.parse_args()
-    with ProcessPoolExecutor(options.jobs) as pool:
-        for table in options.tables:
-            waiting = [pool.submit(TABLES[table], *case) for case in cases(table, options)]
-            rows = pd.DataFrame([row.result() for row in waiting])
-            print(f"\n{table}\n{rows.round(4).to_string(index=False)}", flush=True)
+    chosen = {name: TABLES[name] for name in options.tables}
+    for _ in printed(chosen, lambda name: cases(name, options), options.jobs):
+        pass
 
 
 if __name__ == "__main__":

@@ -1,8 +1,10 @@
 """What benchmarks measure by: fields trained anew, the best of several runs, a plain field."""
 
+from concurrent.futures import ProcessPoolExecutor
 import time
 
 import numpy as np
+import pandas as pd
 
 import sgvf_drake as sgvf
 
@@ -26,6 +28,22 @@ def best_of(call, repeats=3, clock=time.process_time):
     """The results of several calls, and the least time: others only make it longer."""
     results, seconds = zip(*(timed(call, clock) for _ in range(repeats)), strict=True)
     return results, min(seconds)
+
+
+def printed(tables, cases, jobs):
+    """Yields the names and the rows of tables, which are printed as they come.
+
+    Args:
+        tables: Names, and what makes a row of each.
+        cases: Gives the arguments of each row of a table.
+        jobs: The number of processes.
+    """
+    with ProcessPoolExecutor(jobs) as pool:
+        for name, row in tables.items():
+            waiting = [pool.submit(row, *case) for case in cases(name)]
+            rows = pd.DataFrame([row.result() for row in waiting])
+            print(f"\n{name}\n{rows.round(4).to_string(index=False)}", flush=True)
+            yield name, rows
 
 
 class Circle:

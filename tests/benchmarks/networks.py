@@ -5,14 +5,12 @@ python -m tests.benchmarks.networks courses angles --courses Suzuka.csv
 
 import argparse
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 import itertools
 from pathlib import Path
 import time
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from sgvf_drake.clouds import PointCloud
 from sgvf_drake.experiments.follow import FollowResult, follow, follow_network
@@ -22,6 +20,7 @@ from sgvf_drake.learning import TrainingConfig, TrainingResult, train
 from sgvf_drake.paths.itinerary import successors
 from sgvf_drake.paths.planning import covering
 from systems import SensorParameters
+from tests.benchmarks.measuring import printed
 from tests.networks import SHAPES, Array, Shape, recorded_motions, recorded_passes, topology
 
 Row = dict[str, Any]
@@ -233,14 +232,11 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=3, help="clouds of each crossing")
     parser.add_argument("--jobs", type=int, default=2)
     options = parser.parse_args()
-    with ProcessPoolExecutor(options.jobs) as pool:
-        for table in options.tables:
-            waiting = [pool.submit(TABLES[table], *case) for case in cases(table, options)]
-            rows = pd.DataFrame([row.result() for row in waiting])
-            print(f"\n{table}\n{rows.round(4).to_string(index=False)}", flush=True)
-            if table in ("courses", "networks"):
-                beside = rows.pivot(index="shape", columns="recipe", values=SLOPES)
-                print(f"\nlearned beside exact\n{beside.round(4).to_string()}", flush=True)
+    chosen = {name: TABLES[name] for name in options.tables}
+    for name, rows in printed(chosen, lambda name: cases(name, options), options.jobs):
+        if name in ("courses", "networks"):
+            beside = rows.pivot(index="shape", columns="recipe", values=SLOPES)
+            print(f"\nlearned beside exact\n{beside.round(4).to_string()}", flush=True)
 
 
 if __name__ == "__main__":

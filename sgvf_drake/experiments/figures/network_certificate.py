@@ -13,6 +13,8 @@ from sgvf_drake.experiments.figures.verification import TUBE
 from sgvf_drake.fields import DirectedField
 
 TURN = plotting.ORANGE
+# Entries of the legend below each view, so that they fit.
+LEGEND_COLUMNS = 4
 
 
 def network_certificate_figure(field: DirectedField, found: NetworkCertificate) -> Figure:
@@ -43,7 +45,7 @@ def network_certificate_figure(field: DirectedField, found: NetworkCertificate) 
     verdict = "certified" if found.certified else "NOT certified"
     figure.suptitle(f"{verdict}: {found.reason}", wrap=True)
     handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
+    plotting.legend_below(figure, handles, labels, LEGEND_COLUMNS * len(views))
     return figure
 
 

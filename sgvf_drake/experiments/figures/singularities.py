@@ -29,6 +29,8 @@ GUIDING_MARK = ("X", plotting.RED, "white")
 # Of more zeros than this, markers are drawn smaller; their sizes, in square points.
 FEW_ZEROS = 60
 LARGE, SMALL = 64.0, 20.0
+# How large a drawing in space is, so that the names of its axes are on the figure.
+ZOOM = 0.78
 # Points along each axis of the map and of the surface of the log-density.
 MAP_SIZE, SURFACE_SIZE = 301, 161
 # Both end at this percentile of the box, since the density falls for ever.
@@ -70,6 +72,8 @@ def spatial_figure(field: GuidingField, found: Singularities) -> Figure:
         marks |= plot_zeros(panel, zeros)
         plotting.plane_axes(panel, plotting.UNIT, _title(name, zeros))
         panel.set(zlabel=f"z [{plotting.UNIT}]")
+        # Names of axes in space are no part of the layout.
+        panel.set_box_aspect(None, zoom=ZOOM)
     _legend(figure, marks)
     return figure
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from sgvf_drake import certify
-from sgvf_drake.certificate import find_basin, prove_basin
+from sgvf_drake.certificate import basin, find_basin, prove_basin
 from sgvf_drake.certificate.basin import LEAST, MOST, _graph, _Known, facts_of
 from sgvf_drake.certificate.boxes import Boxes
 from sgvf_drake.certificate.cells import COUNT, DEPTH, HALF, ROOT, SIDES, UNIT, Cells
@@ -111,6 +111,23 @@ def test_robots_from_proved_squares_come_between_walls(two_rings):
     # Corners of proved squares, too, though they are of others as well.
     corners = boxes.centers[chosen] + boxes.half[chosen, None]
     assert between(found.walls, ends_of(field, corners, 20.0)).all()
+
+
+def test_what_is_told_is_that_of_the_last_squares(ring, monkeypatch):
+    """However often they are divided: no more rounds are counted on than the first here."""
+    field, _, stored = ring
+    monkeypatch.setattr(basin, "ROUNDS", 1)
+    told = []
+    found = find_basin(field, stored.walls, lambda *progress: told.append(progress))
+    again = prove_basin(field, found.cells, stored.walls)
+    np.testing.assert_array_equal(found.comes, again.comes)
+    assert (found.area, found.almost, found.excluded) == (
+        again.area,
+        again.almost,
+        again.excluded,
+    )
+    assert len(told) > 3
+    assert all(done <= total for _, done, total in told)
 
 
 def test_what_is_excluded_holds_the_zeros(two_rings):

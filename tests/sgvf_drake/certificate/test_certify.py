@@ -33,7 +33,8 @@ def test_the_search_certifies_a_ring(ring):
     c_out = stored.levels.conditions.c_out
     assert found.levels.conditions.c_out == pytest.approx(c_out, rel=1e-3)
     # Without levels all else is the same.
-    assert certify(field, path) == replace(found, levels=None, boxes=certify(field, path).boxes)
+    plain = certify(field, path)
+    assert plain == replace(found, levels=None, boxes=plain.boxes)
 
 
 @pytest.mark.full
@@ -247,6 +248,12 @@ def far_out(walls):
     return replace(walls, left=(*walls.left, inward), right=(*walls.right, outward))
 
 
+def replace_vertices(walls, change):
+    return replace(
+        walls, left=tuple(map(change, walls.left)), right=tuple(map(change, walls.right))
+    )
+
+
 @pytest.mark.parametrize("spoil", [moved, turned_round, far_out])
 def test_walls_that_are_not_those_that_were_proved_are_refused(ring, spoil):
     field, path, certificate = ring
@@ -254,6 +261,31 @@ def test_walls_that_are_not_those_that_were_proved_are_refused(ring, spoil):
     found = check(replace(certificate, walls=(spoil(walls),), levels=None), field, path)
     assert not found.certified
     assert found.reason.startswith("what is claimed is not what is proved")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda own: {"walls": ()},
+        lambda own: {"tubes": (replace(own.tubes[0], closed=False),)},
+        lambda own: {"walls": (replace_vertices(own.walls[0], lambda wall: wall[1:]),)},
+    ],
+    ids=["no walls", "an open tube", "a vertex less"],
+)
+def test_parts_that_do_not_fit_are_refused_and_not_an_error(ring, change):
+    field, path, certificate = ring
+    found = check(replace(certificate, **change(certificate)), field, path)
+    assert not found.certified
+    assert found.reason.startswith("what is claimed is not what is proved")
+
+
+def test_an_end_is_no_counterexample(half_circle_field):
+    """Where robots of an open path are to rest, m vanishes as it should."""
+    field = half_circle_field
+    apart = replace(field, composition=replace(field.composition, gain=-field.composition.gain))
+    found = certify(apart)
+    assert not found.certified
+    assert (found.reason, found.counterexample) == ("no tube is proved of piece 1", None)
 
 
 def test_a_square_that_is_left_out_is_told(ring):
