@@ -43,6 +43,8 @@ class Smooth:
     most: float
     third: float
     growth: bool = False
+    twist: Callable[[FloatArray], FloatArray] = np.zeros_like
+    fourth: float = np.inf
 
     def expand(self, u: FloatArray, low: FloatArray, high: FloatArray) -> Expansion:
         """Returns the expansion; see `Univariate`."""
@@ -61,6 +63,26 @@ class Smooth:
         error = FORMULA * (1 + np.abs(u)) if self.growth else FORMULA
         rest = (1 + FORMULA) * bend * reach + error * (1 + reach) + TINY
         return Expansion(slope, curvature, np.zeros_like(u), rest)
+
+    def expand_curvature(self, u: FloatArray, low: FloatArray, high: FloatArray) -> Expansion:
+        """Returns the expansion of the second derivative; see `TwiceDifferentiable`."""
+        _, _, curvature = self.jet(u)
+        twist = self.twist(u)
+        reach = np.maximum(high - u, u - low)
+        straight = self.fourth * np.maximum(reach, TINY) ** 2 / 2
+        flat = np.maximum(np.abs(curvature - self.least), np.abs(self.most - curvature))
+        flat = np.minimum(self.third * np.maximum(reach, TINY), flat)
+        bends = straight < flat
+        error = FORMULA * (1 + np.abs(u)) * (1 + reach)
+        rest = (1 + FORMULA) * np.where(bends, straight, flat) + error + TINY + 0 * reach
+        nothing = np.zeros_like(u)
+        return Expansion(curvature, np.where(bends, twist, nothing), nothing, rest)
+
+
+def _silu_twist(u: FloatArray) -> FloatArray:
+    gate, bell, _ = _sigmoid(u)
+    curve = bell * (1 - 2 * gate)
+    return 3 * curve + u * bell * (1 - 6 * bell)
 
 
 def _tanh(u: FloatArray) -> Jet:
@@ -108,8 +130,8 @@ def _fall(y: FloatArray) -> Jet:
     return value, slope, y**2 * (20 * fourth - 12) * value**3
 
 
-SINE = Smooth(_sine, -1.0, 1.0, 1.0)
-COSINE = Smooth(_cosine, -1.0, 1.0, 1.0)
+SINE = Smooth(_sine, -1.0, 1.0, 1.0, twist=lambda u: -np.cos(u), fourth=1.0)
+COSINE = Smooth(_cosine, -1.0, 1.0, 1.0, twist=np.sin, fourth=1.0)
 
 
 def _or_flat(
@@ -185,7 +207,7 @@ class Rectifier:
 
 
 ACTIVATIONS: Mapping[str, Univariate] = {
-    "SiLU": Smooth(kernels.silu, -0.037, 0.501, 0.3082, growth=True),
+    "SiLU": Smooth(kernels.silu, -0.037, 0.501, 0.3082, growth=True, twist=_silu_twist, fourth=0.5001),
     "Tanh": Smooth(_tanh, -0.77, 0.77, 2.001),
     "Sigmoid": Smooth(_sigmoid, -0.0963, 0.0963, 0.1251),
     "Softplus": Smooth(_softplus, -0.001, 0.251, 0.0963, growth=True),
@@ -250,6 +272,12 @@ class Convex:
         found = Expansion(slope, curvature, np.zeros_like(u), rest + rounding + TINY)
         least, most = self.value_and_slope(low)[1], self.value_and_slope(high)[1]
         return _or_flat(found, least, most, FORMULA * (1 + high))
+
+    def expand_curvature(self, u: FloatArray, low: FloatArray, high: FloatArray) -> Expansion:
+        """Returns bounds of the second derivative; see `TwiceDifferentiable`."""
+        curvature, bend = self._bend(u, low, high)
+        flat = np.zeros_like(u)
+        return Expansion(curvature, flat, flat, (1 + FORMULA) * bend + TINY)
 
     def _bend(
         self, u: FloatArray, low: FloatArray, high: FloatArray

@@ -189,6 +189,10 @@ class TaylorModel:
         """Returns the models of the derivative of a function; see `apply`."""
         return self._applied(function.expand_slope, least)
 
+    def apply_curvature(self, expand: Expand, *, least: float = -np.inf) -> "TaylorModel":
+        """Returns the models of what else can be expanded about each; see `apply`."""
+        return self._applied(expand, least)
+
     def _applied(self, expand: Expand, least: float) -> "TaylorModel":
         about = np.maximum(self.value, least)
         found = expand(about, np.maximum(self.lower, least), np.maximum(self.upper, least))
