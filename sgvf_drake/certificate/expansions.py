@@ -36,6 +36,8 @@ class Smooth:
         third: The largest absolute value of the third.
         growth: Whether the rounding of the jet grows with |u|, as that of u times a bounded
             function does.
+        higher: Its third and fourth derivatives; None: they are not used.
+        bounds: The largest absolute values of the fourth and of the fifth.
     """
 
     jet: Callable[[FloatArray], Jet]
@@ -43,8 +45,8 @@ class Smooth:
     most: float
     third: float
     growth: bool = False
-    twist: Callable[[FloatArray], FloatArray] = np.zeros_like
-    fourth: float = np.inf
+    higher: Callable[[FloatArray], tuple[FloatArray, FloatArray]] | None = None
+    bounds: tuple[float, float] = (np.inf, np.inf)
 
     def expand(self, u: FloatArray, low: FloatArray, high: FloatArray) -> Expansion:
         """Returns the expansion; see `Univariate`."""
@@ -62,27 +64,42 @@ class Smooth:
         bend = np.minimum(self.third * np.maximum(reach / 2, TINY), anywhere)
         error = FORMULA * (1 + np.abs(u)) if self.growth else FORMULA
         rest = (1 + FORMULA) * bend * reach + error * (1 + reach) + TINY
-        return Expansion(slope, curvature, np.zeros_like(u), rest)
+        flat = Expansion(slope, curvature, np.zeros_like(u), rest)
+        if self.higher is None:
+            return flat
+        error = 4 * FORMULA * (1 + np.abs(u)) * (1 + reach + reach**2)
+        rest = (1 + FORMULA) * self.bounds[0] * (reach / 6 + TINY) * reach**2 + error + TINY
+        return _better(flat, Expansion(slope, curvature, self.higher(u)[0], rest))
 
     def expand_curvature(self, u: FloatArray, low: FloatArray, high: FloatArray) -> Expansion:
         """Returns the expansion of the second derivative; see `TwiceDifferentiable`."""
-        _, _, curvature = self.jet(u)
-        twist = self.twist(u)
+        curvature, nothing = self.jet(u)[2], np.zeros_like(u)
         reach = np.maximum(high - u, u - low)
-        straight = self.fourth * np.maximum(reach, TINY) ** 2 / 2
-        flat = np.maximum(np.abs(curvature - self.least), np.abs(self.most - curvature))
-        flat = np.minimum(self.third * np.maximum(reach, TINY), flat)
-        bends = straight < flat
-        error = FORMULA * (1 + np.abs(u)) * (1 + reach)
-        rest = (1 + FORMULA) * np.where(bends, straight, flat) + error + TINY + 0 * reach
-        nothing = np.zeros_like(u)
-        return Expansion(curvature, np.where(bends, twist, nothing), nothing, rest)
+        bend = np.maximum(np.abs(curvature - self.least), np.abs(self.most - curvature))
+        bend = np.minimum(self.third * np.maximum(reach, TINY), bend)
+        error = 4 * FORMULA * (1 + np.abs(u)) * (1 + reach + reach**2)
+        rest = (1 + FORMULA) * bend + error + TINY + 0 * reach
+        flat = Expansion(curvature, nothing, nothing, rest)
+        if self.higher is None:
+            return flat
+        rest = (1 + FORMULA) * self.bounds[1] * (reach / 6 + TINY) * reach**2 + error + TINY
+        return _better(flat, Expansion(curvature, *self.higher(u), rest))
 
 
-def _silu_twist(u: FloatArray) -> FloatArray:
-    gate, bell, _ = _sigmoid(u)
-    curve = bell * (1 - 2 * gate)
-    return 3 * curve + u * bell * (1 - 6 * bell)
+def _better(one: Expansion, other: Expansion) -> Expansion:
+    """Returns where of two expansions the one that leaves less."""
+    takes = other.rest < one.rest
+    names = ("value", "slope", "curvature", "rest")
+    return Expansion(
+        *(np.where(takes, getattr(other, name), getattr(one, name)) for name in names)
+    )
+
+
+def _silu_higher(u: FloatArray) -> tuple[FloatArray, FloatArray]:
+    gate, bell, curve = _sigmoid(u)
+    third = bell * (1 - 6 * bell)
+    fourth = curve * (1 - 12 * bell)
+    return 3 * curve + u * third, 4 * third + u * fourth
 
 
 def _tanh(u: FloatArray) -> Jet:
@@ -130,8 +147,8 @@ def _fall(y: FloatArray) -> Jet:
     return value, slope, y**2 * (20 * fourth - 12) * value**3
 
 
-SINE = Smooth(_sine, -1.0, 1.0, 1.0, twist=lambda u: -np.cos(u), fourth=1.0)
-COSINE = Smooth(_cosine, -1.0, 1.0, 1.0, twist=np.sin, fourth=1.0)
+SINE = Smooth(_sine, -1.0, 1.0, 1.0, higher=lambda u: (-np.cos(u), np.sin(u)), bounds=(1.0, 1.0))
+COSINE = Smooth(_cosine, -1.0, 1.0, 1.0, higher=lambda u: (np.sin(u), np.cos(u)), bounds=(1.0, 1.0))
 
 
 def _or_flat(
@@ -207,7 +224,7 @@ class Rectifier:
 
 
 ACTIVATIONS: Mapping[str, Univariate] = {
-    "SiLU": Smooth(kernels.silu, -0.037, 0.501, 0.3082, growth=True, twist=_silu_twist, fourth=0.5001),
+    "SiLU": Smooth(kernels.silu, -0.037, 0.501, 0.3082, growth=True, higher=_silu_higher, bounds=(0.5001, 0.659)),
     "Tanh": Smooth(_tanh, -0.77, 0.77, 2.001),
     "Sigmoid": Smooth(_sigmoid, -0.0963, 0.0963, 0.1251),
     "Softplus": Smooth(_softplus, -0.001, 0.251, 0.0963, growth=True),

@@ -15,8 +15,9 @@ import numpy as np
 from sgvf_drake.arrays import FloatArray
 from sgvf_drake.certificate.expansions import COSINE, SINE, find_expansion
 from sgvf_drake.certificate.field_model import Algebra, BoundedField
+from sgvf_drake.certificate.kernels import SLACK, TINY, UNIT
 from sgvf_drake.certificate.mixture_model import Components
-from sgvf_drake.certificate.network_model import affine
+from sgvf_drake.certificate.network_model import CHUNK, affine
 from sgvf_drake.certificate.patches import Patches
 from sgvf_drake.certificate.taylor_model import (
     Differentiable,
@@ -154,6 +155,36 @@ def jet_network(
     Raises:
         ConfigurationError: Nothing bounds its activation, or it has no second derivative.
     """
+    starts = range(0, len(patches), CHUNK) or (0,)
+    found = [_jet(network, patches[start : start + CHUNK], held) for start in starts]
+    return _of_channels([_stacked(models) for models in zip(*found, strict=True)])
+
+
+def _stacked(models: Sequence[TaylorModel]) -> TaylorModel:
+    parts = [np.concatenate([getattr(model, name) for model in models]) for name in _FIELDS]
+    return TaylorModel(*parts)
+
+
+_FIELDS = ("parts", "remainder")
+
+Coefficients = dict[tuple[int, int], FloatArray]
+"""By numbers of channels: what an error of the second makes of the first."""
+
+
+def _channels(jet: JetModel) -> list[TaylorModel]:
+    """Returns the values, the first and the second derivatives: the channels."""
+    return [jet.value, *jet.first.slopes, *jet.second]
+
+
+def _of_channels(models: Sequence[TaylorModel]) -> JetModel:
+    d = next(d for d in range(len(models)) if 1 + d + len(pairs(d)) == len(models))
+    return JetModel(DualModel(models[0], tuple(models[1 : 1 + d])), tuple(models[1 + d :]))
+
+
+def _jet(
+    network: Perceptron, patches: Patches, held: Sequence[float]
+) -> list[TaylorModel]:
+    """Returns the channels of the outputs; errors are carried as in `network_model`."""
     units, features = JetModel.position(patches, held), network.features
     if features is not None:
         d = features.frequencies.shape[1]
@@ -163,9 +194,114 @@ def jet_network(
     activation = find_expansion(network.activation.name)
     if not isinstance(activation, TwiceDifferentiable):
         raise ConfigurationError(f"{network.activation.name} has no second derivative")
+    own, layers = [[model.remainder for model in _channels(units)]], []
     for weight, bias in zip(network.weights[:-1], network.biases[:-1], strict=True):
-        units = units.affine(weight, bias).apply(activation)
-    return units.affine(network.weights[-1], network.biases[-1])
+        inputs, rounding = _affine(units, weight, bias)
+        units, coefficients = inputs.apply(activation), _coefficients(activation, inputs)
+        own.append(_own(units, inputs, rounding, coefficients))
+        layers.append(coefficients)
+    outputs, rounding = _affine(units, network.weights[-1], network.biases[-1])
+    carried = _carried(network.weights, layers, own)
+    return [
+        TaylorModel(model.parts, np.minimum(model.remainder, total + off + TINY))
+        for model, total, off in zip(_channels(outputs), carried, rounding, strict=True)
+    ]
+
+
+def _affine(
+    units: JetModel, weight: FloatArray, bias: FloatArray
+) -> tuple[JetModel, list[FloatArray]]:
+    """Returns weight units + bias, and what the rounding of each channel is at most."""
+    biases = [bias, *([np.zeros_like(bias)] * (len(_channels(units)) - 1))]
+    found = [
+        affine(model, weight, own) for model, own in zip(_channels(units), biases, strict=True)
+    ]
+    return _of_channels([model for model, _ in found]), [rounding for _, rounding in found]
+
+
+def _coefficients(activation: TwiceDifferentiable, inputs: JetModel) -> Coefficients:
+    """Returns what errors of inputs make of activations, to first order about the centres.
+
+    With the numbers D, c_1, E and c_2 that the expansions of the activation and of its first
+    two derivatives begin with: an activation h(z) has the derivatives h' z_a and
+    h' z_ab + h'' z_a z_b.
+    """
+    value = inputs.value
+    limits = value.value, value.lower, value.upper
+    D, slope = activation.expand(*limits).slope, activation.expand_slope(*limits)
+    bend = activation.expand_curvature(*limits)
+    d = len(inputs.first.slopes)
+    z = [model.value for model in inputs.first.slopes]
+    found: Coefficients = {(0, 0): D}
+    for a in range(d):
+        found[1 + a, 1 + a], found[1 + a, 0] = slope.value, slope.slope * z[a]
+    for row, (a, b) in enumerate(pairs(d), start=1 + d):
+        found[row, row] = slope.value
+        found[row, 0] = slope.slope * inputs.second[row - 1 - d].value
+        found[row, 0] += bend.slope * (z[a] * z[b])
+        found[row, 1 + a] = bend.value * z[b]
+        if a == b:
+            found[row, 1 + a] = 2 * found[row, 1 + a]
+        else:
+            found[row, 1 + b] = bend.value * z[a]
+    return found
+
+
+def _own(
+    units: JetModel,
+    inputs: JetModel,
+    rounding: list[FloatArray],
+    coefficients: Coefficients,
+) -> list[FloatArray]:
+    """Returns what is left of errors of activations but for what `coefficients` carry."""
+    errors = [model.remainder for model in _channels(inputs)]
+    left = []
+    for channel, model in enumerate(_channels(units)):
+        carried = sum(
+            np.abs(factor) * (errors[source] - rounding[source])
+            for (target, source), factor in coefficients.items()
+            if target == channel
+        )
+        left.append(np.maximum(model.remainder - carried, 0) + SLACK * model.remainder)
+    return left
+
+
+def _carried(
+    weights: Sequence[FloatArray], layers: list[Coefficients], own: list[list[FloatArray]]
+) -> list[FloatArray]:
+    """What the errors of all units make of the channels of the outputs, (n, outputs) each."""
+    last, n = weights[-1], len(own[0][0])
+    count = len(own[0])
+    backward = {(q, q): np.broadcast_to(last, (n, *last.shape)) for q in range(count)}
+    # What rounding changes of `backward`, by the absolute weights and the largest factors.
+    sizes, gamma = {(q, q): np.abs(last) for q in range(count)}, 0.0
+    totals = [np.zeros((n, len(last))) for _ in range(count)]
+    for number in range(len(layers), -1, -1):
+        for (q, c), reach in backward.items():
+            reached = np.abs(reach) + gamma * sizes[q, c]
+            totals[q] += np.einsum("nok,nk->no", reached, own[number][c])
+        if number == 0:
+            break
+        factors, weight = layers[number - 1], weights[number - 1]
+        most = {key: np.abs(factor).max(axis=0) for key, factor in factors.items()}
+        backward = _through(backward, {k: f[:, None] for k, f in factors.items()}, weight)
+        sizes = _through(sizes, most, np.abs(weight))
+        gamma += 2 * (weight.shape[0] + 12) * UNIT
+    return [total * (1 + 16 * (4 + last.shape[1]) * UNIT * len(own)) for total in totals]
+
+
+def _through(reach: Coefficients, factors: Coefficients, weight: FloatArray) -> Coefficients:
+    """Returns what reaches the outputs through an activation and a matrix before it."""
+    found: Coefficients = {}
+    for (q, c), own in reach.items():
+        for (target, source), factor in factors.items():
+            if target == c:
+                found[q, source] = found.get((q, source), 0) + own * factor
+    flat = weight.shape[0]
+    return {
+        key: (own.reshape(-1, flat) @ weight).reshape(*own.shape[:-1], weight.shape[1])
+        for key, own in found.items()
+    }
 
 
 def _no_components(components: Components, patches: Patches) -> JetModel:
