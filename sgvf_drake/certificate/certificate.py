@@ -9,6 +9,7 @@ from sgvf_drake.certificate.cells import Cells
 from sgvf_drake.certificate.document import Document, bounds_hold
 from sgvf_drake.certificate.levels import Conditions, Levels
 from sgvf_drake.certificate.tube import Tube
+from sgvf_drake.certificate.vehicle_claim import VehicleResult
 from sgvf_drake.certificate.walls import Walls
 
 
@@ -73,6 +74,7 @@ class Certificate(Document):
         excluded: The sets of squares in which robots may stay, the largest first.
         pieces: What is proved of each piece.
         levels: What is proved of level sets of V; None: it was not asked.
+        vehicle: What is proved of a vehicle that flies along the field; None: it was not asked.
         counterexample: (2,) a point where m vanishes on a piece without a tube; None: none was
             found.
         boxes: Number of squares and other patches over which the field was bounded.
@@ -90,10 +92,11 @@ class Certificate(Document):
     excluded: tuple[ExcludedSet, ...] = ()
     pieces: tuple[PieceResult, ...] = ()
     levels: Levels | None = None
+    vehicle: VehicleResult | None = None
     counterexample: tuple[float, float] | None = None
     boxes: int = 0
 
-    FORMAT, VERSION = "sgvf_drake.certificate", 3
+    FORMAT, VERSION = "sgvf_drake.certificate", 4
 
     @property
     def e_star_max(self) -> float | None:
@@ -110,7 +113,7 @@ class Certificate(Document):
 
     @classmethod
     def _of(cls, body: Mapping[str, Any]) -> "Certificate":
-        point, levels = body["counterexample"], body["levels"]
+        point, levels, vehicle = (body[key] for key in ("counterexample", "levels", "vehicle"))
         if body["cells"] is not None:
             # What is no code is told here.
             Cells.of(body["cells"])
@@ -121,6 +124,7 @@ class Certificate(Document):
                 "walls": tuple(walls and Walls.of(walls) for walls in body["walls"]),
                 "excluded": tuple(map(ExcludedSet.of, body["excluded"])),
                 "levels": None if levels is None else Levels.of(levels),
+                "vehicle": None if vehicle is None else VehicleResult.of(vehicle),
                 "pieces": tuple(map(PieceResult.of, body["pieces"])),
                 "counterexample": None if point is None else tuple(point),
             }
@@ -143,6 +147,10 @@ class Certificate(Document):
         ]
         if self.levels is not None and other.levels is not None:
             compared.append((self.levels, other.levels, *OF_LEVELS))
+        if other.vehicle is not None and (
+            self.vehicle is None or not self.vehicle.is_as_strong_as(other.vehicle, tolerance)
+        ):
+            return False
         return all(bounds_hold(*one, tolerance) for one in compared)
 
     def refused(self, reason: str) -> "Certificate":

@@ -19,6 +19,13 @@ from sgvf_drake.certificate.level_search import find_levels
 from sgvf_drake.certificate.levels import LevelsProof, prove_levels
 from sgvf_drake.certificate.tube import prove_tube
 from sgvf_drake.certificate.tube_search import FoundTube, find_tube
+from sgvf_drake.certificate.vehicle import VehicleLaw
+from sgvf_drake.certificate.vehicle_claim import (
+    VehiclePiece,
+    VehicleProposal,
+    VehicleResult,
+    prove_piece,
+)
 from sgvf_drake.certificate.walls import Walls, prove_walls
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import GuidingField, check_position_alone
@@ -105,6 +112,11 @@ def check(
         if certificate.levels is not None:
             proof = prove_levels(field, certificate.levels.conditions, reference)
             found = _with_levels(found, proof)
+        if (claimed := certificate.vehicle) is not None:
+            proposals = [piece and piece.proposal for piece in claimed.pieces]
+            found = with_vehicle(
+                found, field, proposals, claimed.law, claimed.scale, claimed.disturbance
+            )
     if not found.is_as_strong_as(certificate):
         return found.refused("what is claimed is not what is proved")
     return found
@@ -131,6 +143,40 @@ def _claimed(certificate: Certificate, field: GuidingField) -> tuple[ProposeTube
         return prove_basin(field, Cells.of(certificate.cells), walls)
 
     return known, prove
+
+
+def with_vehicle(
+    found: Certificate,
+    field: GuidingField,
+    proposals: Sequence[VehicleProposal | None],
+    law: VehicleLaw,
+    scale: float,
+    disturbance: float,
+) -> Certificate:
+    """Proves what is proposed of the flight of a vehicle, between the walls of a certificate.
+
+    Args:
+        found: The certificate of the field as it is flown.
+        field: That field.
+        proposals: What is proposed of each piece; None: nothing.
+        law: The vehicle.
+        scale: Metres in a unit of the waypoints.
+        disturbance: Of the acceleration that nobody knows of, m/s^2.
+    """
+    pieces: list[VehiclePiece | None] = []
+    unit = field.cloud.unit_length * scale
+    with threadpool_limits(**ONE_THREAD):
+        for number, proposal in enumerate(proposals[: len(found.tubes)]):
+            tube, walls = found.tubes[number], found.walls[number]
+            if proposal is None or tube is None or walls is None:
+                pieces.append(None)
+                continue
+            e_star = found.pieces[number].e_star
+            known = (field, tube, walls, e_star, proposal)
+            pieces.append(prove_piece(*known, law, unit, disturbance))
+    boxes = found.boxes + sum(piece.patches for piece in pieces if piece is not None)
+    result = VehicleResult(law, scale, disturbance, tuple(pieces))
+    return replace(found, vehicle=result, boxes=boxes)
 
 
 def _with_levels(found: Certificate, proof: LevelsProof) -> Certificate:

@@ -18,11 +18,11 @@ import numpy as np
 
 from sgvf_drake.arrays import FloatArray
 from sgvf_drake.certificate.expansions import RECIPROCAL
-from sgvf_drake.certificate.field_model import BoundedField
+from sgvf_drake.certificate.field_model import BoundedField, model_field
 from sgvf_drake.certificate.jet_model import jet_field
 from sgvf_drake.certificate.kernels import SLACK
 from sgvf_drake.certificate.taylor_model import TaylorModel
-from sgvf_drake.certificate.tube import Tube
+from sgvf_drake.certificate.tube import Tube, normal
 from sgvf_drake.certificate.tube_cells import Answer, Parts, divide, join
 from sgvf_drake.certificate.walls import Walls
 
@@ -30,6 +30,8 @@ from sgvf_drake.certificate.walls import Walls
 HALVINGS = 14
 # No patch on which second derivatives are bounded is larger, normalised: they would say nothing.
 LARGEST_PATCH = 0.03
+# Parts are halved until a bound of a speed is such a part of that at the middle, or so often.
+SHARP, FOR_SPEED = 0.8, 2
 # Squares of s on each axis.
 SQUARES = 2
 JERK, ACCELERATION, TURN, ALONG, GROWTH, SLOPE, LEAST_SPEED, MOST_SPEED = range(8)
@@ -219,3 +221,22 @@ def _square(
     parts[:, 0] = middle
     parts[:, 3, 0] = parts[:, 4, 1] = half
     return TaylorModel(parts, np.zeros_like(like.remainder))
+
+
+def least_progress(field: BoundedField, cells: Parts) -> float:
+    """Returns at least how fast m crosses the lines from wall to wall of cells, normalised.
+
+    A robot with x' = m + s goes on from section to section where |s| is below that.
+    """
+    found = divide(cells, partial(_ask_progress, field), Parts.longer_halves, halvings=8)
+    return 0.0 if len(found.open_cells) else float(found.facts.min())
+
+
+def _ask_progress(field: BoundedField, parts: Parts, depth: int) -> Answer:
+    _, across = parts.columns
+    crossed = normal([across]).dot(model_field(field, parts.patches))
+    longest = np.linalg.norm([parts.start[:, 1], parts.end[:, 1]], axis=2).max(axis=0)
+    speed = crossed.lower[:, 0] / longest * (1 - SLACK)
+    sharp = crossed.lower[:, 0] >= SHARP * crossed.value[:, 0]
+    decided = (speed > 0) & (sharp | (depth >= FOR_SPEED))
+    return Answer(decided, crossed.upper[:, 0] <= 0, speed[:, None])

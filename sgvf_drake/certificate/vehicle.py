@@ -156,7 +156,7 @@ class Feeding:
     Attributes:
         into: Into e, rho, sigma, and d; then into yaw and yaw rate.
         climb: The bound of |e_z| that they keep.
-        causes: The parts of what is fed into |e| at last, by their causes, m/s.
+        causes: The parts of the first four, by their causes.
         error: Of |e|.
         tilt: Of the sine between thrust and demanded thrust.
         tilt_demanded: Of the demanded thrust, rad.
@@ -167,7 +167,7 @@ class Feeding:
 
     into: tuple[float, ...]
     climb: float
-    causes: dict[str, float]
+    causes: dict[str, tuple[float, ...]]
     error: float
     tilt: float
     tilt_demanded: float
@@ -188,6 +188,7 @@ class StageProof:
         error: Of |e| from the start, m/s.
         final_error: Of |e| after `settling`.
         at_start: What the held bounds feed.
+        integral: What each unit that is fed makes of the velocity error across the thrust.
     """
 
     failures: tuple[str, ...]
@@ -197,6 +198,7 @@ class StageProof:
     error: float
     final_error: float
     at_start: Feeding
+    integral: tuple[float, ...] = (np.inf,) * 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,8 +267,9 @@ def prove_stage(
             **{n: min(names[n], (1 + MARGIN) * getattr(less, n)) for n in names}
         )
         last = feed(law, linear, final, bounds, unit, disturbance)
+    settling, integral = SHRINKS * SETTLING, tuple(loop.across.integral[0].tolist())
     return StageProof(
-        tuple(failures), first, final, SHRINKS * SETTLING, fed.error, last.error, fed
+        tuple(failures), first, final, settling, fed.error, last.error, fed, integral
     )
 
 

@@ -1,0 +1,222 @@
+"""What is claimed of the flight of a vehicle along a field, and its proof anew."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+import math
+from typing import Any
+
+from sgvf_drake.certificate.document import bounds_hold
+from sgvf_drake.certificate.field_model import BoundedField
+from sgvf_drake.certificate.flown_jerk import bound_flown, least_progress, region
+from sgvf_drake.certificate.tube import Tube
+from sgvf_drake.certificate.vehicle import (
+    CLIMB,
+    MARGIN,
+    ErrorBounds,
+    Linear,
+    VehicleLaw,
+    prove_stage,
+)
+from sgvf_drake.certificate.walls import Walls
+
+
+@dataclass(frozen=True)
+class VehicleProposal:
+    """What is to be proved of the flight along one piece.
+
+    Attributes:
+        pairs: The vehicle stays between the walls of this number, from 1 at the tube.
+        error: |e| stays below this part of the speed.
+        jerk: What the unknown jerk is to be at most, normalised; see `FlownBounds`.
+        linear: The linear system.
+        start: Bounds of the errors at the start.
+        held: Bounds of the errors from then on.
+    """
+
+    pairs: int
+    error: float
+    jerk: float
+    linear: Linear
+    start: ErrorBounds
+    held: ErrorBounds
+
+    @classmethod
+    def of(cls, body: Mapping[str, Any]) -> "VehicleProposal":
+        """Returns the proposal of a JSON object."""
+        linear = body["linear"]
+        return cls(
+            **{
+                **body,
+                "linear": Linear(**{**linear, "gamma_range": tuple(linear["gamma_range"])}),
+                "start": ErrorBounds(**body["start"]),
+                "held": ErrorBounds(**body["held"]),
+            }
+        )
+
+
+@dataclass(frozen=True)
+class VehiclePiece:
+    """What is proved of the flight along one piece; SI units.
+
+    Attributes:
+        proposal: What it is proved by.
+        failures: What is not proved, in words; empty: all is.
+        half_width: Of the walls that the vehicle stays between, from the tube's middle.
+        altitude_error: Of the altitude.
+        velocity_error: Of |e|, from the start on.
+        tolerated: What the walls tolerate of that.
+        progress: At least how fast it goes from section to section of the tube.
+        final: Bounds of the errors after `settling`.
+        final_error: Of |e| after it.
+        settling: s.
+        tilt: Between thrust and demanded thrust, rad, from the start on.
+        tilt_demanded: Of the demanded thrust, rad.
+        forces: The least and the largest force of a propeller.
+        causes: What feeds the velocity error, by its causes.
+        patches: Over how many patches the field was bounded.
+    """
+
+    proposal: VehicleProposal
+    failures: tuple[str, ...]
+    half_width: float = math.nan
+    altitude_error: float = math.nan
+    velocity_error: float = math.inf
+    tolerated: float = 0.0
+    progress: float = 0.0
+    final: ErrorBounds | None = None
+    final_error: float = math.inf
+    settling: float = math.nan
+    tilt: float = math.nan
+    tilt_demanded: float = math.nan
+    forces: tuple[float, float] = (math.nan, math.nan)
+    causes: Mapping[str, float] | None = None
+    patches: int = 0
+
+    @classmethod
+    def of(cls, body: Mapping[str, Any]) -> "VehiclePiece":
+        """Returns the result of a JSON object."""
+        return cls(
+            **{
+                **body,
+                "proposal": VehicleProposal.of(body["proposal"]),
+                "failures": tuple(body["failures"]),
+                "final": body["final"] and ErrorBounds(**body["final"]),
+                "forces": tuple(body["forces"]),
+            }
+        )
+
+
+@dataclass(frozen=True)
+class VehicleResult:
+    """What is proved of the flight of a vehicle.
+
+    Attributes:
+        law: The vehicle.
+        scale: Metres in a unit of the waypoints.
+        disturbance: The acceleration that is tolerated, m/s^2.
+        pieces: Of each piece what is proved; None: nothing was proposed.
+    """
+
+    law: VehicleLaw
+    scale: float
+    disturbance: float
+    pieces: tuple[VehiclePiece | None, ...]
+
+    @classmethod
+    def of(cls, body: Mapping[str, Any]) -> "VehicleResult":
+        """Returns the result of a JSON object."""
+        law = VehicleLaw(**{**body["law"], "inertia": tuple(body["law"]["inertia"])})
+        pieces = tuple(piece and VehiclePiece.of(piece) for piece in body["pieces"])
+        return cls(law, body["scale"], body["disturbance"], pieces)
+
+    @property
+    def proved(self) -> bool:
+        """Whether the flight is proved along every piece."""
+        return all(piece is not None and not piece.failures for piece in self.pieces)
+
+    def is_as_strong_as(self, other: "VehicleResult", tolerance: float) -> bool:
+        """Whether this one proves what another claims, but for rounding."""
+        given = (self.law, self.scale, self.disturbance, len(self.pieces))
+        if given != (other.law, other.scale, other.disturbance, len(other.pieces)):
+            return False
+        for mine, claimed in zip(self.pieces, other.pieces, strict=True):
+            if claimed is None or claimed.failures:
+                continue
+            if mine is None or mine.failures or mine.proposal != claimed.proposal:
+                return False
+            at_most = ("half_width", "altitude_error", "velocity_error", "final_error", "tilt")
+            if not bounds_hold(mine, claimed, ("tolerated", "progress"), at_most, tolerance):
+                return False
+        return True
+
+
+def prove_piece(
+    field: BoundedField,
+    tube: Tube,
+    walls: Walls,
+    e_star: Sequence[float],
+    proposal: VehicleProposal,
+    law: VehicleLaw,
+    unit: float,
+    disturbance: float,
+) -> VehiclePiece:
+    """Proves that a vehicle stays between walls, from all errors within bounds.
+
+    Args:
+        field: m, in the plane, as it is flown.
+        tube: A tube that is proved.
+        walls: Walls that are proved.
+        e_star: What they tolerate.
+        proposal: What is to be proved.
+        law: The vehicle.
+        unit: Metres in a normalised unit.
+        disturbance: Of the acceleration that nobody knows of, m/s^2.
+    """
+    if not 1 <= proposal.pairs <= len(e_star):
+        return VehiclePiece(proposal, (f"there are no walls of number {proposal.pairs}",))
+    centre = (law.velocity_gain - proposal.linear.centre) * unit / law.speed
+    cells = region(tube, walls, proposal.pairs)
+    bounds = bound_flown(
+        field,
+        cells,
+        error=proposal.error,
+        slow=law.slow / law.speed,
+        centre=centre,
+        target=proposal.jerk,
+    )
+    if bounds is None:
+        return VehiclePiece(proposal, ("the jerk of the field is not bounded as proposed",))
+    start, held, linear = proposal.start, proposal.held, proposal.linear
+    proof = prove_stage(law, linear, start, held, bounds, unit, disturbance)
+    failures, fed = list(proof.failures), proof.at_start
+    tolerated = law.speed * e_star[proposal.pairs - 1]
+    if not proof.error * (1 + MARGIN) < tolerated:
+        failures.append(
+            f"a velocity error of {proof.error:.4g} m/s, of which the walls tolerate "
+            f"{tolerated:.4g}"
+        )
+    progress = law.speed * least_progress(field, cells) - proof.error
+    if not progress > 0:
+        failures.append("the vehicle is not proved to go on along the path")
+    top, climb = law.max_climb, CLIMB * held.climb
+    integral = proof.integral
+    return VehiclePiece(
+        proposal,
+        tuple(failures),
+        half_width=walls.half_widths(tube)[proposal.pairs - 1] * unit,
+        altitude_error=top / law.altitude_gain * math.atanh(min(climb / top, 0.999)),
+        velocity_error=proof.error,
+        tolerated=tolerated,
+        progress=progress,
+        final=proof.final,
+        final_error=proof.final_error,
+        settling=proof.settling,
+        tilt=math.asin(fed.tilt),
+        tilt_demanded=fed.tilt_demanded,
+        forces=(fed.least_force, fed.most_force),
+        causes={
+            name: float(sum(g * x for g, x in zip(integral, parts, strict=True)))
+            for name, parts in fed.causes.items()
+        },
+        patches=bounds.patches,
+    )

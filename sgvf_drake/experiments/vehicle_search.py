@@ -1,0 +1,304 @@
+"""Proposes what is to be proved of a quadrotor's flight: walls, bounds, errors at the start.
+
+Samples of the field between walls tell where a proof may succeed; there the field is bounded,
+and the errors that hold are iterated from those of the start until they do not grow.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+import math
+
+import numpy as np
+
+from sgvf_drake.arrays import FloatArray
+from sgvf_drake.certificate import FoundTube
+from sgvf_drake.certificate.flown_jerk import FlownBounds, bound_flown, region
+from sgvf_drake.certificate.tube_cells import Parts
+from sgvf_drake.certificate.vehicle import (
+    CLIMB,
+    ErrorBounds,
+    Linear,
+    Loop,
+    VehicleLaw,
+    feed,
+    held_from,
+    linear_loop,
+)
+from sgvf_drake.certificate.vehicle_claim import VehicleProposal
+from sgvf_drake.fields import GuidingField
+from systems import Gains, QuadrotorParameters
+from systems.guidance import ALTITUDE_GAIN, MAX_CLIMB_RATE
+from systems.se3_law import (
+    LIFT_SHARE,
+    MAX_DESIRED_ANGULAR_ACCELERATION,
+    MAX_DESIRED_RATE,
+    MAX_HEADING_ERROR,
+    MAX_TILT,
+    MIN_LIFT,
+    SLOW_SPEED,
+    THRUST_SHARE,
+)
+
+# Parts of what walls tolerate that |e| may be, and what K_0 is more than the velocity gain by.
+SHARES, CENTRES = (0.95, 0.75, 0.55, 0.4), (0.5, 0.75, 1.0)
+# Samples between walls, and directions of the velocity error; what the jerk may be more than
+# what they see, and the same of all else before it is bounded.
+SAMPLES, DIRECTIONS, JERK, OTHERS = 3000, 24, 1.2, 1.12
+# The errors at the start are in proportion: the thrust's that makes up for such a part of the
+# velocity error, the rate's in which the attitude error would turn at such a part of the
+# bandwidth, and such a part of both about the thrust; the vertical one, of all.
+THRUST, RATE, YAW, VERTICAL = 0.5, 0.5, 0.1, 0.15
+# What is tolerated of the largest disturbance, so that errors at the start have their part.
+DISTURBED = 0.5
+ITERATIONS, GROWN, SETTLED, BISECTIONS = 150, 1.003, 1.0003, 8
+
+
+def vehicle_law(
+    speed: float, parameters: QuadrotorParameters, gains: Gains
+) -> VehicleLaw:
+    """Returns the numbers of a quadrotor and its law at a commanded speed, m/s."""
+    return VehicleLaw(
+        speed=speed,
+        velocity_gain=gains.velocity_gain,
+        bandwidth=gains.attitude_bandwidth,
+        damping=gains.damping_ratio,
+        mass=parameters.mass,
+        gravity=parameters.gravity,
+        inertia=parameters.inertia,
+        arm_length=parameters.arm_length,
+        yaw_arm=parameters.yaw_arm,
+        max_force=parameters.max_propeller_force,
+        altitude_gain=ALTITUDE_GAIN,
+        max_climb=MAX_CLIMB_RATE,
+        slow=SLOW_SPEED,
+        max_tilt=MAX_TILT,
+        min_lift=MIN_LIFT,
+        lift_share=LIFT_SHARE,
+        thrust_share=THRUST_SHARE,
+        max_rate=MAX_DESIRED_RATE,
+        max_angular_acceleration=MAX_DESIRED_ANGULAR_ACCELERATION,
+        max_heading_error=MAX_HEADING_ERROR,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """Walls and a linear system with which a proof succeeds for small errors at the start.
+
+    Attributes:
+        pairs: The number of the walls.
+        bounds: Of the field between them.
+        centre: K_0.
+        jerk: What was asked for of the jerk.
+        disturbance: The largest that is tolerated, m/s^2.
+    """
+
+    pairs: int
+    bounds: FlownBounds
+    centre: float
+    jerk: float
+    disturbance: float
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """The search along one piece.
+
+    Attributes:
+        law: The vehicle.
+        unit: Metres in a normalised unit.
+    """
+
+    law: VehicleLaw
+    unit: float
+
+    def start(self, error: float) -> ErrorBounds:
+        """Returns the errors at a start with a velocity error, m/s."""
+        law = self.law
+        rho = THRUST * law.velocity_gain * error
+        sigma = RATE * law.bandwidth * rho
+        yaw, yaw_rate = YAW * rho / law.gravity, YAW * sigma / law.gravity
+        return ErrorBounds(error, rho, sigma, 0.0, yaw, yaw_rate, VERTICAL * error)
+
+    def holding(
+        self, start: ErrorBounds, bounds: FlownBounds, centre: float, disturbance: float
+    ) -> tuple[ErrorBounds, Linear] | None:
+        """Returns bounds that hold from a start on, with the linear system; None: none do."""
+        errors, loop = start, self._loop(centre)
+        if loop is None:
+            return None
+        for _ in range(ITERATIONS):
+            linear = self._linear(errors, bounds, centre)
+            fed = feed(self.law, linear, errors, bounds, self.unit, disturbance)
+            if fed.failures:
+                return None
+            kept = held_from(loop, start, fed)
+            # A fixed point of what is a little larger is above what it feeds, by that little.
+            kept = ErrorBounds(*(GROWN * one + 1e-7 for one in vars(kept).values()))
+            grown = _each(max, errors, kept)
+            if all(new <= SETTLED * old for new, old in _pairs(grown, errors)):
+                linear = self._linear(grown, bounds, centre)
+                last = feed(self.law, linear, grown, bounds, self.unit, disturbance)
+                more = held_from(loop, start, last)
+                holds = all(1.00001 * new < old for new, old in _pairs(more, grown))
+                return (grown, linear) if holds and not last.failures else None
+            errors = grown
+        return None
+
+    def largest(
+        self, bounds: FlownBounds, centre: float, *, error: float, disturbance: float
+    ) -> float:
+        """Returns the largest part of an error at the start, or of a disturbance, that holds.
+
+        Args:
+            bounds: Of the field between the walls.
+            centre: K_0.
+            error: At the start, m/s; zero: a part of the disturbance is asked for.
+            disturbance: m/s^2.
+        """
+        low, high = 0.0, 1.0
+        for _ in range(BISECTIONS):
+            share = (low + high) / 2
+            start = self.start(share * error if error else 1e-3 * self.law.speed)
+            force = disturbance if error else share * disturbance
+            holds = self.holding(start, bounds, centre, force) is not None
+            low, high = (share, high) if holds else (low, share)
+        return low
+
+    def _loop(self, centre: float) -> Loop | None:
+        if centre not in _LOOPS.setdefault(self.law, {}):
+            _LOOPS[self.law][centre] = linear_loop(
+                self.law, Linear(1.0, (0.9, 1.1), centre)
+            )
+        return _LOOPS[self.law][centre]
+
+    def _linear(self, errors: ErrorBounds, bounds: FlownBounds, centre: float) -> Linear:
+        """Returns the linear system with the bounds of |q| / g that errors have."""
+        law, g = self.law, self.law.gravity
+        across = law.speed**2 / self.unit * bounds.acceleration
+        across += law.velocity_gain * bounds.error * law.speed
+        up = (law.altitude_gain * (1 + CLIMB) + law.velocity_gain) * errors.climb
+        low, high = (g - up) / g, math.hypot(g + up, across) / g
+        return Linear(1.0, (low * (1 - 1e-5), high * (1 + 1e-5)), centre)
+
+
+_LOOPS: dict[VehicleLaw, dict[float, Loop | None]] = {}
+
+
+def _pairs(one: ErrorBounds, other: ErrorBounds) -> list[tuple[float, float]]:
+    return list(zip(vars(one).values(), vars(other).values(), strict=True))
+
+
+def _each(
+    function: Callable[[float, float], float], one: ErrorBounds, other: ErrorBounds
+) -> ErrorBounds:
+    return ErrorBounds(*(function(a, b) for a, b in _pairs(one, other)))
+
+
+def find_candidate(
+    field: GuidingField, found: FoundTube, law: VehicleLaw, unit: float
+) -> Candidate | None:
+    """Returns the widest walls of a piece with which a proof succeeds; None: none do.
+
+    Args:
+        field: As it is flown, in the plane.
+        found: A tube of it, with walls.
+        law: The vehicle.
+        unit: Metres in a normalised unit.
+    """
+    if found.walls is None or found.walls_proof is None:
+        return None
+    trial = Trial(law, unit)
+    small = trial.start(1e-3 * law.speed)
+    for pairs in range(len(found.walls_proof.e_star), 0, -1):
+        cells = region(found.tube, found.walls, pairs)
+        samples = _Samples.between(field, cells)
+        for share in SHARES:
+            error = share * found.walls_proof.e_star[pairs - 1]
+            for more in CENTRES:
+                centre = law.velocity_gain + more
+                c = -more * unit / law.speed
+                seen = samples.bounds(error, law.slow / law.speed, c)
+                if trial.holding(small, seen, centre, 0.0) is None:
+                    continue
+                bounds = bound_flown(
+                    field,
+                    cells,
+                    error=error,
+                    slow=law.slow / law.speed,
+                    centre=c,
+                    target=seen.jerk,
+                )
+                if bounds is None or trial.holding(small, bounds, centre, 0.0) is None:
+                    continue
+                most = law.velocity_gain * error * law.speed
+                part = trial.largest(bounds, centre, error=0.0, disturbance=most)
+                return Candidate(pairs, bounds, centre, seen.jerk, part * most)
+    return None
+
+
+def propose(
+    candidate: Candidate, law: VehicleLaw, unit: float, disturbance: float
+) -> VehicleProposal | None:
+    """Returns the proposal with the largest errors at the start; None: nothing holds."""
+    trial, bounds, centre = Trial(law, unit), candidate.bounds, candidate.centre
+    most = bounds.error * law.speed
+    part = trial.largest(bounds, centre, error=most, disturbance=disturbance)
+    start = trial.start(part * most)
+    found = trial.holding(start, bounds, centre, disturbance)
+    if found is None:
+        return None
+    held, linear = found
+    return VehicleProposal(
+        candidate.pairs, bounds.error, candidate.jerk, linear, start, held
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Samples:
+    """m (n, 2), its Jacobian (n, 2, 2) and its second derivatives (n, 2, 2, 2), normalised."""
+
+    m: FloatArray
+    J: FloatArray
+    H: FloatArray
+
+    @classmethod
+    def between(cls, field: GuidingField, cells: Parts) -> "_Samples":
+        rng = np.random.default_rng(0)
+        i = rng.integers(len(cells), size=SAMPLES)
+        t, s = rng.uniform(-1, 1, (2, SAMPLES, 1))
+        ends = (rows[i, 0] + s * rows[i, 1] for rows in (cells.start, cells.end))
+        first, last = ends
+        x = field.cloud.denormalize(((1 - t) * first + (1 + t) * last) / 2)
+        unit = field.cloud.unit_length
+        m, J = field.value_and_jacobian(x)
+        return cls(m, unit * J, unit**2 * field.hessian(x))
+
+    def bounds(self, error: float, slow: float, centre: float) -> FlownBounds:
+        """Returns about what `bound_flown` would."""
+        most = np.zeros(4)
+        for angle in np.linspace(0, 2 * np.pi, DIRECTIONS, endpoint=False):
+            n = self.m + error * np.array([np.cos(angle), np.sin(angle)])
+            a = np.einsum("nij,nj->ni", self.J, n)
+            omega = (n[:, 0] * a[:, 1] - n[:, 1] * a[:, 0]) / ((n**2).sum(axis=1) + slow**2)
+            eta = np.einsum("nijk,nj,nk->ni", self.H, n, n)
+            eta += np.einsum("nij,nj->ni", self.J, a)
+            eta -= omega[:, None] * np.column_stack([-a[:, 1], a[:, 0]])
+            found = [np.linalg.norm(eta, axis=1), np.linalg.norm(a, axis=1)]
+            found += [np.abs(omega), np.abs((n * a).sum(axis=1))]
+            most = np.maximum(most, np.max(found, axis=1))
+        jerk, acceleration, turn, along = most.tolist()
+        shifted = self.J - centre * np.eye(2)
+        growth, slope = (
+            float(np.linalg.norm(one, 2, axis=(1, 2)).max()) for one in (shifted, self.J)
+        )
+        speed = np.linalg.norm(self.m, axis=1)
+        return FlownBounds(
+            error,
+            centre,
+            JERK * jerk,
+            *(OTHERS * one for one in (acceleration, turn, 1.5 * along, growth, slope)),
+            least_speed=float(speed.min()) - 0.01,
+            most_speed=float(speed.max()) + 0.01,
+            patches=0,
+        )
