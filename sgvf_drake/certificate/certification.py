@@ -113,7 +113,7 @@ def check(
             proof = prove_levels(field, certificate.levels.conditions, reference)
             found = _with_levels(found, proof)
         if (claimed := certificate.vehicle) is not None:
-            proposals = [piece and piece.proposal for piece in claimed.pieces]
+            proposals = [None if piece is None else piece.proposal for piece in claimed.pieces]
             found = with_vehicle(
                 found, field, proposals, claimed.law, claimed.scale, claimed.disturbance
             )

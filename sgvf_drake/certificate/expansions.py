@@ -96,7 +96,7 @@ def _better(one: Expansion, other: Expansion) -> Expansion:
 
 
 def _silu_higher(u: FloatArray) -> tuple[FloatArray, FloatArray]:
-    gate, bell, curve = _sigmoid(u)
+    _, bell, curve = _sigmoid(u)
     third = bell * (1 - 6 * bell)
     fourth = curve * (1 - 12 * bell)
     return 3 * curve + u * third, 4 * third + u * fourth
@@ -147,8 +147,12 @@ def _fall(y: FloatArray) -> Jet:
     return value, slope, y**2 * (20 * fourth - 12) * value**3
 
 
-SINE = Smooth(_sine, -1.0, 1.0, 1.0, higher=lambda u: (-np.cos(u), np.sin(u)), bounds=(1.0, 1.0))
-COSINE = Smooth(_cosine, -1.0, 1.0, 1.0, higher=lambda u: (np.sin(u), np.cos(u)), bounds=(1.0, 1.0))
+SINE = Smooth(
+    _sine, -1.0, 1.0, 1.0, higher=lambda u: (-np.cos(u), np.sin(u)), bounds=(1.0, 1.0)
+)
+COSINE = Smooth(
+    _cosine, -1.0, 1.0, 1.0, higher=lambda u: (np.sin(u), np.cos(u)), bounds=(1.0, 1.0)
+)
 
 
 def _or_flat(
@@ -224,7 +228,15 @@ class Rectifier:
 
 
 ACTIVATIONS: Mapping[str, Univariate] = {
-    "SiLU": Smooth(kernels.silu, -0.037, 0.501, 0.3082, growth=True, higher=_silu_higher, bounds=(0.5001, 0.659)),
+    "SiLU": Smooth(
+        kernels.silu,
+        -0.037,
+        0.501,
+        0.3082,
+        growth=True,
+        higher=_silu_higher,
+        bounds=(0.51, 0.69),
+    ),
     "Tanh": Smooth(_tanh, -0.77, 0.77, 2.001),
     "Sigmoid": Smooth(_sigmoid, -0.0963, 0.0963, 0.1251),
     "Softplus": Smooth(_softplus, -0.001, 0.251, 0.0963, growth=True),

@@ -1,8 +1,8 @@
-"""Bounds of what a field asks of a vehicle between walls: acceleration, turn rate, unknown jerk.
+"""What a field asks of a vehicle between walls: acceleration, turn rate, unknown jerk.
 
 A vehicle whose velocity is v = v0 (m(p) + s) is fed forward a = v0 J v, and takes its rate to
-be w x a with w = (v x a) / (|v|^2 + slow^2).  The rate is that of a' = v0 m''[v, v] + v0 J v', so
-that at v' = a what it does not know is
+be w x a with w = (v x a) / (|v|^2 + slow^2).  The rate is a' = v0 m''[v, v] + v0 J v', so that at
+v' = a what it does not know is
 
     eta = v0 m''[v, v] + v0 J a - w x a.
 
@@ -28,7 +28,7 @@ from sgvf_drake.certificate.walls import Walls
 
 # Cells are halved so often, at most: what is asked for is decided before, or is not so.
 HALVINGS = 14
-# No patch on which second derivatives are bounded is larger, normalised: they would say nothing.
+# Second derivatives are bounded over no larger patches, normalised: it would say nothing.
 LARGEST_PATCH = 0.03
 # Parts are halved until a bound of a speed is such a part of that at the middle, or so often.
 SHARP, FOR_SPEED = 0.8, 2
@@ -109,14 +109,8 @@ def bound_flown(
     if len(found.open_cells):
         return None
     most, least = found.facts.max(axis=0).tolist(), float(found.facts[:, LEAST_SPEED].min())
-    return FlownBounds(
-        error,
-        centre,
-        *most[:LEAST_SPEED],
-        least_speed=least,
-        most_speed=most[MOST_SPEED],
-        patches=found.asked,
-    )
+    suprema = (*most[:LEAST_SPEED], least, most[MOST_SPEED])
+    return FlownBounds(error, centre, *suprema, patches=found.asked)
 
 
 def _ask(
@@ -206,16 +200,14 @@ def _norms(entries: list[list[TaylorModel]]) -> FloatArray:
 
 
 def _with_squares(model: TaylorModel) -> TaylorModel:
-    """Returns models over patches of two parameters as ones of four; they do not use the last."""
+    """Returns models over patches of two parameters as ones of four, of which two are idle."""
     value, first, second, a, b, c = np.moveaxis(model.parts, 1, 0)
     nothing = np.zeros_like(value)
     rows = [value, first, second, nothing, nothing, a, b, nothing, nothing, c]
     return TaylorModel(np.stack(rows + 5 * [nothing], axis=1), model.remainder)
 
 
-def _square(
-    like: TaylorModel, middle: tuple[float, float], half: float
-) -> TaylorModel:
+def _square(like: TaylorModel, middle: tuple[float, float], half: float) -> TaylorModel:
     """Returns the model of a vector in a square, by the last two of four parameters."""
     parts = np.zeros_like(like.parts)
     parts[:, 0] = middle

@@ -147,9 +147,7 @@ def pairs(dim: int) -> list[tuple[int, int]]:
     return list(combinations_with_replacement(range(dim), 2))
 
 
-def jet_network(
-    network: Perceptron, patches: Patches, held: Sequence[float] = ()
-) -> JetModel:
+def jet_network(network: Perceptron, patches: Patches, held: Sequence[float] = ()) -> JetModel:
     """Returns the outputs of a network with their derivatives; see `model_network`.
 
     Raises:
@@ -181,9 +179,7 @@ def _of_channels(models: Sequence[TaylorModel]) -> JetModel:
     return JetModel(DualModel(models[0], tuple(models[1 : 1 + d])), tuple(models[1 + d :]))
 
 
-def _jet(
-    network: Perceptron, patches: Patches, held: Sequence[float]
-) -> list[TaylorModel]:
+def _jet(network: Perceptron, patches: Patches, held: Sequence[float]) -> list[TaylorModel]:
     """Returns the channels of the outputs; errors are carried as in `network_model`."""
     units, features = JetModel.position(patches, held), network.features
     if features is not None:
@@ -311,7 +307,7 @@ def _no_components(components: Components, patches: Patches) -> JetModel:
     )
 
 
-JET = Algebra(JetModel.position, jet_network, _no_components)
+JET = Algebra(JetModel.position, jet_network, _no_components)  # type: ignore[type-var]
 
 
 def jet_field(field: BoundedField, patches: Patches) -> JetModel:

@@ -301,9 +301,7 @@ def _respond(
     into, into_yaw = np.array(fed.into[:4]), np.array(fed.into[4:])
     across = free @ [start.across, start.rho, start.sigma] + loop.across.integral @ into
     yaw = free_yaw @ [start.yaw, start.yaw_rate] + loop.yaw.integral @ into_yaw
-    return ErrorBounds(
-        *across.tolist(), *yaw.tolist(), climb=left * start.climb + fed.climb
-    )
+    return ErrorBounds(*across.tolist(), *yaw.tolist(), left * start.climb + fed.climb)
 
 
 def feed(
@@ -400,7 +398,7 @@ def feed(
     # What feeds the linear system.
     second = g * ((yaw * x + tau * x_3) / 2 + h * (x + x_3 / 2))
     second += (z * off + z_b + z * slope) * off / low
-    causes = {
+    causes: dict[str, tuple[float, ...]] = {
         "jerk": (0.0, (eta_h + eta_z * tilt_b) / low, 0.0, 0.0),
         "derivative of the field": (0.0, spread * e_rate / low, 0.0, 0.0),
         "angular acceleration": (0.0, 0.0, g * (xi + off * xi_3), 0.0),

@@ -135,6 +135,17 @@ def certify(
     scale: Annotated[
         float, typer.Option(help="With --speed: metres in one unit of the waypoints.")
     ] = 1.0,
+    vehicle: Annotated[
+        bool,
+        typer.Option("--vehicle", help="With --speed: prove the quadrotor's flight too."),
+    ] = False,
+    approach_rate: Annotated[
+        float | None,
+        typer.Option(
+            help="With --vehicle: how fast the field asks it to turn to the path, 1/s "
+            "[default: the fastest that is proved]."
+        ),
+    ] = None,
     route: Annotated[
         str | None,
         typer.Option(
@@ -153,6 +164,7 @@ def certify(
         open_field,
         run_certify,
     )
+    from sgvf_drake.experiments.vehicle_search import VehicleQuestion
     from sgvf_drake.fields import DirectedField
 
     if levels and claimed is not None:
@@ -164,19 +176,27 @@ def certify(
         return
     if route is not None:
         raise ConfigurationError("--route is for fields of paths that cross or branch")
-    if speed is not None:
+    question = None
+    if vehicle or approach_rate is not None:
+        if not vehicle or speed is None or claimed is not None:
+            raise ConfigurationError(
+                "--vehicle needs --speed, --approach-rate needs --vehicle, and --check proves "
+                "what the certificate holds of a vehicle without it"
+            )
+        question = VehicleQuestion(speed, scale, approach_rate)
+    elif speed is not None:
         loaded = as_flown(loaded, speed, scale)
     path = choose_reference(loaded, reference, columns_of(columns, reference, "--reference"))
     print_messages(path[0].messages)
     certificate = None if claimed is None else Certificate.load(claimed)
-    options: dict[str, Any] = {"claimed": certificate, "levels": levels}
+    options: dict[str, Any] = {"claimed": certificate, "levels": levels, "vehicle": question}
     with progress() as report:
         summary = run_certify(
             loaded, path, out, **options, overwrite=overwrite, progress=report
         )
     _print_certificate(summary)
     print_folder(out)
-    if not summary["certified"]:
+    if not summary["certified"] or (summary["vehicle"] or {"proved": True})["proved"] is False:
         raise typer.Exit(FAILED)
 
 
@@ -257,6 +277,8 @@ def _print_certificate(summary: Mapping[str, Any]) -> None:
         rows["thin tubes"] = f"at most {summary['orbit_half_width'] / U:.3g} U from the path"
     if summary["c_in"] is not None:
         rows |= _levels(summary)
+    if summary["vehicle"] is not None:
+        rows["vehicle"] = summary["vehicle"]["sentence"]
     rows["squares, time"] = f"{summary['boxes']}, {summary['time_s']:.1f} s"
     print_table("Certificate", rows)
 

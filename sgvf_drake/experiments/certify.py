@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 from matplotlib.figure import Figure
 
 from sgvf_drake.certificate import Certificate, NetworkCertificate, certify, check
+from sgvf_drake.certificate.certification import with_vehicle
 from sgvf_drake.compiling import timed
 from sgvf_drake.experiments.certified import CERTIFICATE, CERTIFICATE_FIGURE
 from sgvf_drake.experiments.figures.certificate import certificate_figure
@@ -19,6 +20,8 @@ from sgvf_drake.experiments.results import (
     save_figure,
     write_summary,
 )
+from sgvf_drake.experiments.vehicle_search import VehicleQuestion, propose_flight
+from sgvf_drake.experiments.vehicle_search import told as told_of_vehicle
 from sgvf_drake.fields import DirectedField, GuidingField
 from sgvf_drake.paths import ReferencePath
 from sgvf_drake.progress import Progress, no_progress
@@ -26,7 +29,8 @@ from sgvf_drake.progress import Progress, no_progress
 AnyField = TypeVar("AnyField", GuidingField, DirectedField)
 AnyProof = TypeVar("AnyProof", Certificate, NetworkCertificate)
 
-CERTIFY_FILES = (SUMMARY, CERTIFICATE, CERTIFICATE_FIGURE)
+FLOWN_FIELD = "flown.safetensors"
+CERTIFY_FILES = (SUMMARY, CERTIFICATE, CERTIFICATE_FIGURE, FLOWN_FIELD)
 # Of a certificate's levels, by their names in the summary.
 OF_LEVELS = (
     *("sigma", "alpha", "delta", "tube_half_width", "decrease_fraction", "step_bound"),
@@ -40,10 +44,14 @@ def run_certify(
     *,
     claimed: Certificate | None = None,
     levels: bool = False,
+    vehicle: VehicleQuestion | None = None,
     overwrite: bool = False,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
     """Certifies a field; leaves the certificate, its figure and the summary.
+
+    With a question of a `vehicle`, its flight along the field is proved too, if it can be; the
+    folder then holds the field that flies as well, which may be wider.
 
     A `claimed` certificate of the field is proved anew; without one, one is searched for, with
     `levels` of V too.  `time_s` is without what numba compiles on the first run.
@@ -53,18 +61,27 @@ def run_certify(
             field.
     """
     path, kind = reference or choose_reference(field)
+    asked = None if vehicle is None else propose_flight(field, path, vehicle, progress)
+    flown = field if asked is None else asked.field
 
     def prove() -> Certificate:
         if claimed is not None:
             return check(claimed, field, path)
-        return certify(field, path, levels=levels, progress=progress)
+        found = certify(flown, path, levels=levels, progress=progress)
+        if asked is None or vehicle is None:
+            return found
+        of_flight = (asked.proposals, asked.law, vehicle.scale, asked.disturbance)
+        return with_vehicle(found, flown, *of_flight)
 
     def told(found: Certificate) -> dict[str, Any]:
-        return {**certificate_summary(found), "reference": kind}
+        rate = None if asked is None else asked.approach_rate
+        flight = None if found.vehicle is None else told_of_vehicle(found.vehicle, rate)
+        return {**certificate_summary(found), "reference": kind, "vehicle": flight}
 
     return leave_proof(
-        *(field, out, prove, certificate_figure, told),
+        *(flown, out, prove, certificate_figure, told),
         checked=claimed is not None,
+        keeps=asked is not None,
         overwrite=overwrite,
     )
 
@@ -78,6 +95,7 @@ def leave_proof(
     *,
     checked: bool,
     overwrite: bool,
+    keeps: bool = False,
 ) -> dict[str, Any]:
     """Proves something of a field; leaves the certificate, its figure and the summary.
 
@@ -89,11 +107,14 @@ def leave_proof(
         told: Returns what the summary tells of it.
         checked: Whether it was claimed before.
         overwrite: Whether results that are there are replaced.
+        keeps: Whether the field is kept beside it.
     """
     with result_folder(out, CERTIFY_FILES, overwrite=overwrite) as folder:
         with timed() as watch:
             found = prove()
         found.save(folder / CERTIFICATE)
+        if keeps:
+            field.save(folder / FLOWN_FIELD)
         save_figure(draw(field, found), folder / CERTIFICATE_FIGURE)
         summary = {
             **told(found),

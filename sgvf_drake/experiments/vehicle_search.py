@@ -5,13 +5,14 @@ and the errors that hold are iterated from those of the start until they do not 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 import math
+from typing import Any
 
 import numpy as np
 
 from sgvf_drake.arrays import FloatArray
-from sgvf_drake.certificate import FoundTube
+from sgvf_drake.certificate import FoundTube, find_tube
 from sgvf_drake.certificate.flown_jerk import FlownBounds, bound_flown, region
 from sgvf_drake.certificate.tube_cells import Parts
 from sgvf_drake.certificate.vehicle import (
@@ -24,10 +25,13 @@ from sgvf_drake.certificate.vehicle import (
     held_from,
     linear_loop,
 )
-from sgvf_drake.certificate.vehicle_claim import VehicleProposal
+from sgvf_drake.certificate.vehicle_claim import VehicleProposal, VehicleResult
+from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import GuidingField
-from systems import Gains, QuadrotorParameters
-from systems.guidance import ALTITUDE_GAIN, MAX_CLIMB_RATE
+from sgvf_drake.paths import ReferencePath
+from sgvf_drake.progress import Progress, no_progress
+from systems import DEFAULT_GAINS, Disturbance, Gains, QuadrotorParameters
+from systems.guidance import ALTITUDE_GAIN, MAX_APPROACH_RATE, MAX_CLIMB_RATE
 from systems.se3_law import (
     LIFT_SHARE,
     MAX_DESIRED_ANGULAR_ACCELERATION,
@@ -48,14 +52,14 @@ SAMPLES, DIRECTIONS, JERK, OTHERS = 3000, 24, 1.2, 1.12
 # velocity error, the rate's in which the attitude error would turn at such a part of the
 # bandwidth, and such a part of both about the thrust; the vertical one, of all.
 THRUST, RATE, YAW, VERTICAL = 0.5, 0.5, 0.1, 0.15
+# Approach rates that are tried, 1/s, where none is asked for; the first is that of a quadrotor.
+RATES = (MAX_APPROACH_RATE, 2.0, 1.5, 1.25, 1.0, 0.75)
 # What is tolerated of the largest disturbance, so that errors at the start have their part.
 DISTURBED = 0.5
 ITERATIONS, GROWN, SETTLED, BISECTIONS = 150, 1.003, 1.0003, 8
 
 
-def vehicle_law(
-    speed: float, parameters: QuadrotorParameters, gains: Gains
-) -> VehicleLaw:
+def vehicle_law(speed: float, parameters: QuadrotorParameters, gains: Gains) -> VehicleLaw:
     """Returns the numbers of a quadrotor and its law at a commanded speed, m/s."""
     return VehicleLaw(
         speed=speed,
@@ -167,9 +171,7 @@ class Trial:
 
     def _loop(self, centre: float) -> Loop | None:
         if centre not in _LOOPS.setdefault(self.law, {}):
-            _LOOPS[self.law][centre] = linear_loop(
-                self.law, Linear(1.0, (0.9, 1.1), centre)
-            )
+            _LOOPS[self.law][centre] = linear_loop(self.law, Linear(1.0, (0.9, 1.1), centre))
         return _LOOPS[self.law][centre]
 
     def _linear(self, errors: ErrorBounds, bounds: FlownBounds, centre: float) -> Linear:
@@ -249,9 +251,7 @@ def propose(
     if found is None:
         return None
     held, linear = found
-    return VehicleProposal(
-        candidate.pairs, bounds.error, candidate.jerk, linear, start, held
-    )
+    return VehicleProposal(candidate.pairs, bounds.error, candidate.jerk, linear, start, held)
 
 
 @dataclass(frozen=True, eq=False)
@@ -297,8 +297,159 @@ class _Samples:
             error,
             centre,
             JERK * jerk,
-            *(OTHERS * one for one in (acceleration, turn, 1.5 * along, growth, slope)),
+            OTHERS * acceleration,
+            OTHERS * turn,
+            2 * along,
+            OTHERS * growth,
+            OTHERS * slope,
             least_speed=float(speed.min()) - 0.01,
             most_speed=float(speed.max()) + 0.01,
             patches=0,
         )
+
+
+@dataclass(frozen=True)
+class VehicleQuestion:
+    """What is asked of a vehicle's flight along a field.
+
+    Attributes:
+        speed: The commanded speed, m/s.
+        scale: Metres in one unit of the waypoints.
+        approach_rate: How fast the flown field asks to turn to the path, 1/s; None: the fastest
+            of `RATES` with which the flight is proved.
+
+    Raises:
+        ConfigurationError: If one is not a positive number.
+    """
+
+    speed: float
+    scale: float = 1.0
+    approach_rate: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if value is not None and not 0 < value < math.inf:
+                raise ConfigurationError(f"the {name} must be a positive number, not {value}")
+
+
+@dataclass(frozen=True, eq=False)
+class VehicleAnswer:
+    """The field with which a flight may be proved, and what is proposed of each piece.
+
+    Attributes:
+        field: As it is flown.
+        approach_rate: The largest at which it asks to turn, 1/s.
+        law: The vehicle.
+        disturbance: m/s^2.
+        proposals: Of each piece; None: nothing.
+    """
+
+    field: GuidingField
+    approach_rate: float
+    law: VehicleLaw
+    disturbance: float
+    proposals: tuple[VehicleProposal | None, ...]
+
+
+def propose_flight(
+    field: GuidingField,
+    reference: ReferencePath,
+    question: VehicleQuestion,
+    progress: Progress = no_progress,
+) -> VehicleAnswer:
+    """Looks for the field, the walls and the errors with which a flight may be proved.
+
+    Args:
+        field: In the unit of its waypoints, planar, of closed pieces.
+        reference: The path.
+        question: What is asked.
+        progress: Told how far it is.
+
+    Raises:
+        ConfigurationError: The field is not planar or a piece is open: there are no walls.
+    """
+    if field.dim != 2 or not all(reference.closed):
+        raise ConfigurationError("--vehicle is for closed paths in the plane, which have walls")
+    law = vehicle_law(question.speed, QuadrotorParameters(), DEFAULT_GAINS)
+    unit = field.cloud.unit_length * question.scale
+    rates = RATES if question.approach_rate is None else (question.approach_rate,)
+    for number, rate in enumerate(rates):
+        progress("approach rates", number, len(rates))
+        flown = widened(field, question, rate)
+        candidates = []
+        for piece in reference.pieces:
+            found = find_tube(flown, field.cloud.normalize(piece.vertices), closed=True)
+            candidate = None if found is None else find_candidate(flown, found, law, unit)
+            candidates.append(candidate)
+            if candidate is None:
+                break
+        known = [candidate for candidate in candidates if candidate is not None]
+        if len(known) == len(reference.pieces):
+            force = DISTURBED * min(candidate.disturbance for candidate in known)
+            proposals = tuple(propose(candidate, law, unit, force) for candidate in known)
+            return VehicleAnswer(flown, rate, law, force, proposals)
+    nothing = (None,) * len(reference.pieces)
+    return VehicleAnswer(widened(field, question, rates[0]), rates[0], law, 0.0, nothing)
+
+
+def widened(field: GuidingField, question: VehicleQuestion, rate: float) -> GuidingField:
+    """Returns a field as a vehicle flies it that turns to the path at a rate, 1/s, at most."""
+    length = question.speed / rate / question.scale
+    return field.with_approach_length(length) if length > field.approach_length else field
+
+
+def told(result: VehicleResult, approach_rate: float | None) -> dict[str, Any]:
+    """Returns what is proved of a flight, by the names of `summary.json`."""
+    fastest = result.law.speed + max(
+        (piece.velocity_error for piece in result.pieces if piece is not None), default=0.0
+    )
+    drag = Disturbance().drag / result.law.mass
+    pieces = [None if piece is None else asdict(piece) for piece in result.pieces]
+    return {
+        "proved": result.proved,
+        "sentence": sentence(result),
+        "speed_m_s": result.law.speed,
+        "approach_rate_1_s": approach_rate,
+        "disturbance_m_s2": result.disturbance,
+        "wind_m_s": max(result.disturbance / drag - fastest, 0.0),
+        "pieces": pieces,
+        "what_it_does_not_cover": list(NOT_COVERED),
+    }
+
+
+NOT_COVERED = (
+    "the hold of the 100 Hz loop: the law is taken to act in continuous time",
+    "the estimator, sensors and delays: the state is taken to be known",
+    "a wrong mass, thrust or inertia, and motors that lag",
+    "Drake's integration error",
+    "how the vehicle comes between the walls",
+)
+
+
+def sentence(result: VehicleResult) -> str:
+    """Says in one sentence what is proved, or what is in the way."""
+    speed = f"at {result.law.speed:g} m/s"
+    if result.proved:
+        widths, starts = [], []
+        for piece in result.pieces:
+            assert piece is not None
+            start = piece.proposal.start
+            widths.append(piece.half_width)
+            starts.append((start.across, start.rho / 9.81, start.sigma / 9.81))
+        error, tilt, rate = np.min(starts, axis=0).tolist()
+        return (
+            f"the quadrotor follows the path {speed} within {max(widths):.3g} m, from every "
+            f"state between these walls with a velocity error up to {error:.2g} m/s, a tilt "
+            f"error up to {tilt:.2g} rad and a rate error up to {rate:.2g} rad/s, under every "
+            f"acceleration up to {result.disturbance:.2g} m/s^2 that nobody knows of"
+        )
+    failures = [
+        f"piece {number}: {'; '.join(piece.failures)}"
+        for number, piece in enumerate(result.pieces, start=1)
+        if piece is not None and piece.failures
+    ]
+    why = "; ".join(failures) or (
+        "between no walls do the velocity errors stay below what these tolerate: what they "
+        "feed is more than what the loop takes off"
+    )
+    return f"the flight {speed} is not proved ({why}); a lower --approach-rate is the remedy"
