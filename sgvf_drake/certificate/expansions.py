@@ -235,7 +235,7 @@ ACTIVATIONS: Mapping[str, Univariate] = {
         0.3082,
         growth=True,
         higher=_silu_higher,
-        bounds=(0.51, 0.69),
+        bounds=(0.51, 0.9),
     ),
     "Tanh": Smooth(_tanh, -0.77, 0.77, 2.001),
     "Sigmoid": Smooth(_sigmoid, -0.0963, 0.0963, 0.1251),

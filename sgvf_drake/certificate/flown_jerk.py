@@ -1,7 +1,7 @@
 """What a field asks of a vehicle between walls: acceleration, turn rate, unknown jerk.
 
 A vehicle whose velocity is v = v0 (m(p) + s) is fed forward a = v0 J v, and takes its rate to
-be w x a with w = (v x a) / (|v|^2 + slow^2).  The rate is a' = v0 m''[v, v] + v0 J v', so that at
+be w x a with w = (v x a) / (|v|^2 + slow^2).  The rate is v0 m''[v, v] + v0 J v', so that at
 v' = a what it does not know is
 
     eta = v0 m''[v, v] + v0 J a - w x a.
