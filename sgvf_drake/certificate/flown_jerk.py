@@ -110,7 +110,7 @@ def bound_flown(
         return None
     most, least = found.facts.max(axis=0).tolist(), float(found.facts[:, LEAST_SPEED].min())
     suprema = (*most[:LEAST_SPEED], least, most[MOST_SPEED])
-    return FlownBounds(error, centre, *suprema, patches=found.asked)
+    return FlownBounds(error, centre, *suprema, found.asked)
 
 
 def _ask(

@@ -301,7 +301,8 @@ def _respond(
     into, into_yaw = np.array(fed.into[:4]), np.array(fed.into[4:])
     across = free @ [start.across, start.rho, start.sigma] + loop.across.integral @ into
     yaw = free_yaw @ [start.yaw, start.yaw_rate] + loop.yaw.integral @ into_yaw
-    return ErrorBounds(*across.tolist(), *yaw.tolist(), left * start.climb + fed.climb)
+    climb = left * start.climb + fed.climb
+    return ErrorBounds(*(*across.tolist(), *yaw.tolist(), climb))
 
 
 def feed(

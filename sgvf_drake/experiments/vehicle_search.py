@@ -5,7 +5,7 @@ and the errors that hold are iterated from those of the start until they do not 
 """
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 import math
 from typing import Any
 
@@ -48,6 +48,8 @@ SHARES, CENTRES = (0.95, 0.75, 0.55, 0.4), (0.5, 0.75, 1.0)
 # Samples between walls, and directions of the velocity error; what the jerk may be more than
 # what they see, and the same of all else before it is bounded.
 SAMPLES, DIRECTIONS, JERK, OTHERS = 3000, 24, 1.2, 1.12
+# By how much more the jerk is asked for in turn.
+TARGETS = (1.0, 1.18)
 # The errors at the start are in proportion: the thrust's that makes up for such a part of the
 # velocity error, the rate's in which the attitude error would turn at such a part of the
 # bandwidth, and such a part of both about the thrust; the vertical one, of all.
@@ -223,19 +225,41 @@ def find_candidate(
                 seen = samples.bounds(error, law.slow / law.speed, c)
                 if trial.holding(small, seen, centre, 0.0) is None:
                     continue
-                bounds = bound_flown(
-                    field,
-                    cells,
-                    error=error,
-                    slow=law.slow / law.speed,
-                    centre=c,
-                    target=seen.jerk,
-                )
-                if bounds is None or trial.holding(small, bounds, centre, 0.0) is None:
+                found_here = _bounded(field, cells, trial, seen, centre)
+                if found_here is None:
                     continue
+                target, bounds = found_here
                 most = law.velocity_gain * error * law.speed
                 part = trial.largest(bounds, centre, error=0.0, disturbance=most)
-                return Candidate(pairs, bounds, centre, seen.jerk, part * most)
+                return Candidate(pairs, bounds, centre, target, part * most)
+    return None
+
+
+def _bounded(
+    field: GuidingField, cells: Parts, trial: Trial, seen: FlownBounds, centre: float
+) -> tuple[float, FlownBounds] | None:
+    """Returns what was asked of the jerk, and bounds with which errors hold; None: none do.
+
+    Squares of velocity errors reach past the disk of those that are sampled.
+    """
+    law = trial.law
+    for more in TARGETS:
+        target = more * seen.jerk
+        aimed = replace(seen, jerk=target)
+        small = trial.start(1e-3 * law.speed)
+        if trial.holding(small, aimed, centre, 0.0) is None:
+            return None
+        bounds = bound_flown(
+            field,
+            cells,
+            error=seen.error,
+            slow=law.slow / law.speed,
+            centre=seen.centre,
+            target=target,
+        )
+        if bounds is not None:
+            holds = trial.holding(small, bounds, centre, 0.0) is not None
+            return (target, bounds) if holds else None
     return None
 
 
