@@ -108,9 +108,20 @@ def bound_flown(
     found = divide(cells, ask, Parts.longer_halves, halvings=HALVINGS)
     if len(found.open_cells):
         return None
-    most, least = found.facts.max(axis=0).tolist(), float(found.facts[:, LEAST_SPEED].min())
-    suprema = (*most[:LEAST_SPEED], least, most[MOST_SPEED])
-    return FlownBounds(error, centre, *suprema, found.asked)
+    most = found.facts.max(axis=0).tolist()
+    return FlownBounds(
+        error=error,
+        centre=centre,
+        jerk=most[JERK],
+        acceleration=most[ACCELERATION],
+        turn=most[TURN],
+        along=most[ALONG],
+        growth=most[GROWTH],
+        slope=most[SLOPE],
+        least_speed=float(found.facts[:, LEAST_SPEED].min()),
+        most_speed=most[MOST_SPEED],
+        patches=found.asked,
+    )
 
 
 def _ask(

@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from sgvf_drake.certificate import Certificate
 from sgvf_drake.certificate.expansions import ACTIVATIONS, COSINE, SINE
 from sgvf_drake.certificate.flown_jerk import FlownBounds
 from sgvf_drake.certificate.jet_model import JetModel, jet_field, jet_network
 from sgvf_drake.certificate.patches import Patches
 from sgvf_drake.certificate.responses import respond
 from sgvf_drake.certificate.vehicle import ErrorBounds, Linear, VehicleLaw, prove_stage
+from sgvf_drake.certificate.vehicle_claim import VehiclePiece, VehicleProposal, VehicleResult
 from sgvf_drake.exceptions import ConfigurationError
 
 from .balls import FUNCTIONS, point_of, random_patch, vector
@@ -208,3 +210,40 @@ def test_products_of_jets_follow_the_rule_of_leibniz():
 def test_a_score_in_closed_form_is_refused(make_field):
     with pytest.raises(ConfigurationError, match="robust and paper"):
         jet_field(make_field("exact"), Patches(np.zeros((1, 2)), 0.01 * np.eye(2)[None]))
+
+
+def claimed(**changes):
+    proposal = VehicleProposal(1, 0.125, 1.3, LINEAR, START, HELD)
+    piece = VehiclePiece(
+        proposal,
+        (),
+        half_width=0.05,
+        altitude_error=0.01,
+        velocity_error=0.055,
+        tolerated=0.06,
+        progress=0.3,
+        final=HELD,
+        final_error=0.05,
+        settling=24.0,
+        tilt=0.03,
+        tilt_demanded=0.05,
+        forces=(1.0, 1.2),
+        causes={"jerk": 0.02},
+        patches=7,
+    )
+    result = VehicleResult(LAW, 1.0, 0.01, (replace(piece, **changes), None))
+    return Certificate(True, "", "digest", vehicle=result)
+
+
+def test_what_is_claimed_of_a_vehicle_is_read_as_it_was_written():
+    assert Certificate.from_json(claimed().to_json()) == claimed()
+
+
+@pytest.mark.parametrize(
+    "changes", [{"velocity_error": 0.054}, {"tolerated": 0.07}, {"half_width": 0.04}]
+)
+def test_more_than_is_proved_of_a_vehicle_is_refused(changes):
+    assert claimed().is_as_strong_as(claimed())
+    assert not claimed().is_as_strong_as(claimed(**changes))
+    assert not replace(claimed(), vehicle=None).is_as_strong_as(claimed())
+    assert not claimed(failures=("one",)).is_as_strong_as(claimed())
