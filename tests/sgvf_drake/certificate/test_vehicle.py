@@ -26,7 +26,7 @@ LAW = VehicleLaw(
 """The paper's quadrotor at 0.45 m/s."""
 
 BOUNDS = FlownBounds(0.125, -0.83, 1.3, 0.85, 0.95, 0.15, 1.2, 1.9, 0.995, 1.003, 1)
-"""About those of a ring of 1 m, in a field that turns to it at 1.5 1/s; U = 0.5 m."""
+"""About those of a ring of 2 m, in a field that turns to it at 1.5 1/s; U = 0.5 m."""
 
 LINEAR = Linear(1.0, (0.985, 1.015), 3.0 + 0.83 * 0.9)
 START = ErrorBounds(0.001, 0.0015, 0.009, 0.0, 2e-5, 1e-4, 2e-4)
