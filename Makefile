@@ -25,7 +25,7 @@ export MPLBACKEND ?= Agg
 # Material for MkDocs advertises its successor at every build.
 export NO_MKDOCS_2_WARNING := 1
 
-.PHONY: demo test test-full test-data browser check docs format clean
+.PHONY: demo test test-full test-data browser check docs format wheel clean
 .PHONY: bench bench-learning bench-paths bench-networks
 
 demo: $(VENV)/.run-time
@@ -61,6 +61,23 @@ docs: $(VENV)/.development
 format: $(VENV)/.development
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
+
+# What would be published: sdist and wheel in dist/, checked.  Then the wheel goes into an empty
+# environment, where a type checker has to see its types and the README has to run.
+TRIAL := build/wheel
+wheel:
+	rm -rf dist $(TRIAL)
+	$(PYTHON) -m venv $(TRIAL)/tools
+	$(TRIAL)/tools/bin/python -m pip install --quiet --disable-pip-version-check build cffconvert mypy twine
+	$(TRIAL)/tools/bin/cffconvert --validate
+	$(TRIAL)/tools/bin/python -m build --outdir dist
+	$(TRIAL)/tools/bin/twine check --strict dist/*
+	$(PYTHON) -m venv $(TRIAL)/empty
+	$(TRIAL)/empty/bin/python -m pip install --quiet --disable-pip-version-check \
+		$(CONSTRAINTS_$(VERSIONS)) dist/*.whl
+	cd $(TRIAL) && tools/bin/mypy --strict --config-file= --python-executable empty/bin/python \
+		$(CURDIR)/tests/distribution/program.py
+	$(TRIAL)/empty/bin/python -I tests/distribution/quickstart.py
 
 bench: $(VENV)/.development
 	$(BIN)/python -m pytest -m benchmark -s --durations=0
