@@ -18,7 +18,7 @@ result = sgvf.train(cloud, sgvf.TrainingConfig(seed=0))
 assert_type(result, sgvf.TrainingResult)
 assert_type(result.self_check, SelfCheck)
 assert_type(result.self_check.passed, bool)
-assert_type(cloud.dimension, int)
+assert_type(cloud.dim, int)
 
 field = sgvf.load_field("field.safetensors")
 velocity: np.ndarray[tuple[int, ...], np.dtype[np.float64]] = field(cloud.points)
