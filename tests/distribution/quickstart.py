@@ -52,7 +52,6 @@ def main() -> None:
         place = Path(package.__file__ or "")
         assert place.is_relative_to(sys.prefix), f"{place} is not of this environment"
     readme = metadata("sgvf-drake").get_payload()
-    (BIN / "sgvf").stat()
     with tempfile.TemporaryDirectory() as folder:
         cloud, _ = sgvf_drake.make_shape("concentric-flight")
         np.savetxt(f"{folder}/waypoints.csv", cloud.points, delimiter=",", header="x,y")
