@@ -79,6 +79,7 @@ def prove_by_tubes(
             f"robots from {_floor(basin.area)} of the box, and almost all robots from "
             f"{_floor(basin.almost)}, come to a tube and follow its piece"
         ),
+        fences=basin.fences,
         cells=basin.cells.code,
         area_fraction=basin.area,
         almost_fraction=basin.almost,

@@ -128,7 +128,7 @@ def _claimed(certificate: Certificate, field: GuidingField) -> tuple[ProposeTube
     def prove(walls: Sequence[Walls]) -> Basin | None:
         if certificate.cells is None or not walls:
             return None
-        return prove_basin(field, Cells.of(certificate.cells), walls)
+        return prove_basin(field, Cells.of(certificate.cells), walls, certificate.fences)
 
     return known, prove
 

@@ -68,7 +68,7 @@ def closed_orbit(
         length: About the time of a lap.
         turn: The angle by which m is turned counter-clockwise first, in the plane, rad.
     """
-    rate = _rate(field) if turn == 0.0 else _turned(_rate(field), turn)
+    rate = rate_of(field, turn)
     place = _run(rate, start, SETTLING * length).y[:, -1]
     for _ in range(LAPS):
         run = _run(rate, place, LONGEST_LAP * length, _return_to(place, rate(0.0, place)))
@@ -88,7 +88,7 @@ def open_orbit(field: BoundedField, start: FloatArray, length: float) -> Orbit |
         start: (d,) where to start, normalised.
         length: About the time that it takes.
     """
-    rate = _rate(field)
+    rate = rate_of(field)
     run = _run(rate, start, LONGEST_LAP * length, _stop(rate))
     if run.status != 1:
         return None
@@ -115,12 +115,14 @@ def passing_orbit(
         near: How far from the place it passes the plane, at most.
     """
     longest = LONGEST_LAP * float(np.linalg.norm(place - start)) + SLOWEST
-    run = _run(_rate(field), start, longest, _pass(place, normal, near), near / 2)
+    run = _run(rate_of(field), start, longest, _pass(place, normal, near), near / 2)
     return Orbit(run.sol, float(run.t[-1]), closed=False), run.status == 1
 
 
-def _rate(field: BoundedField) -> Rate:
-    """Returns z' by time and z."""
+def rate_of(field: BoundedField, turn: float = 0.0) -> Rate:
+    """Returns z' by time and z, for m turned by an angle, rad; in the plane, unless it is 0."""
+    if turn:
+        return _turned(rate_of(field), turn)
     center, unit = field.cloud.center, field.cloud.unit_length
     if isinstance(field, ComposedField):
         evaluate = CompiledField(field)
@@ -130,7 +132,6 @@ def _rate(field: BoundedField) -> Rate:
 
 
 def _turned(rate: Rate, angle: float) -> Rate:
-    """Returns the rate of the field in the plane turned by an angle, rad."""
     c, s = np.cos(angle), np.sin(angle)
     rotation = np.array([[c, -s], [s, c]])
     return lambda t, z: rotation @ rate(t, z)

@@ -164,7 +164,7 @@ def without_walls(text):
         (lambda text: "", "no JSON document"),
         (lambda text: "[1, 2]", "not a file of the format"),
         (lambda text: '{"format": "another"}', "not a file of the format"),
-        (lambda text: text.replace('"version": 3', '"version": 1'), "version 1, not of 3"),
+        (lambda text: text.replace('"version": 4', '"version": 1'), "version 1, not of 4"),
         (lambda text: json.dumps({**json.loads(text), "more": 1}), "was changed"),
         (without_walls, "walls"),
     ],
