@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 from scipy import ndimage
@@ -40,7 +41,7 @@ CLIMB_STEPS = 20
 CLIMB_SHRINK = 0.82
 # Newton steps from the smallest gradients of the grid to the critical points of V, where
 # |grad V| sigma is below the second number; Hessians of a smaller determinant, times
-# sigma^4, are singular.
+# sigma^2d, are singular.
 NEWTON_STEPS = 20
 CRITICAL = 1e-6
 SINGULAR = 1e-12
@@ -75,7 +76,7 @@ class Band:
 
     @property
     def area(self) -> float:
-        """The area on which V decreases in the band."""
+        """The area on which V decreases in the band; in space the volume."""
         return self.basin.area - self.tube.area
 
 
@@ -99,7 +100,7 @@ def search_band(
         reference: The path.
         ratios: The noise levels to try, in those of the field.
         seed: Of the search for worse points.
-        stops: Where m vanishes, (k, 2): V falls on none of these levels; samples miss them.
+        stops: Where m vanishes, (k, d): V falls on none of these levels; samples miss them.
         progress: Told how far it is.
     """
     bands = []
@@ -130,12 +131,13 @@ def find_band(
     V, gradient = function.value_and_gradient(samples.x)
     V_dot = (gradient * samples.m).sum(axis=1)
     outward = component_along(gradient, samples.m)
-    slope = np.linalg.norm(samples.as_grid(gradient), axis=2)
+    slope = np.linalg.norm(samples.as_grid(gradient), axis=-1)
     bad = np.append(V[V_dot > -MIN_DECREASE / unit], critical_levels(function, samples, slope))
     if stops is not None:
         bad = np.append(bad, function(stops))
     grid = samples.as_grid(V)
-    border = min(side.min() for side in (grid[0], grid[-1], grid[:, 0], grid[:, -1]))
+    sides = product(range(field.dim), (0, -1))
+    border = min(grid.take(end, axis).min() for axis, end in sides)
     lowest = 0.0
     while (gap := _first_gap(bad, float(border), lowest)) is not None:
         c_in, c_out = gap
@@ -163,13 +165,15 @@ def critical_levels(
     """Returns the levels of the critical points of V in the box, at which V_dot is zero.
 
     They are found by Newton's method from the local minima of the `slope` |grad V| (ky, kx) on
-    the grid of the samples; V falls fast so near to them that samples miss them.
+    the grid of the samples, in space (kz, ky, kx); V falls fast so near to them that samples miss them.
     """
     lowest = slope == ndimage.minimum_filter(slope, size=3)
     x = samples.x[samples.on_grid][lowest.ravel()]
     for _ in range(NEWTON_STEPS):
         gradient, hessian = function.gradient_and_hessian(x)
-        regular = np.abs(np.linalg.det(hessian)) > SINGULAR / function.sigma**4
+        regular = np.abs(np.linalg.det(hessian)) > SINGULAR / function.sigma ** (
+            2 * function.dim
+        )
         x, gradient, hessian = x[regular], gradient[regular], hessian[regular]
         x = x - np.linalg.solve(hessian, gradient[:, :, None])[:, :, 0]
     found = np.linalg.norm(function.gradient(x), axis=1) < CRITICAL / function.sigma
@@ -206,7 +210,7 @@ def _climb(
     """Returns V and V_dot at points of a band where m flows in least, (k,) each.
 
     Points are pushed to where the inward normal speed is smaller still, by trial: what lies
-    between the samples is to be found.  `climbers` are points (k, 2), and there V, V_dot and
+    between the samples is to be found.  `climbers` are points (k, d), and there V, V_dot and
     the outward normal speed of m; `gap` the lowest and the highest level of the band.
     """
     x, V, V_dot, outward = climbers
