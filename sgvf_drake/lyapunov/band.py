@@ -135,11 +135,9 @@ def find_band(
     bad = np.append(V[V_dot > -MIN_DECREASE / unit], critical_levels(function, samples, slope))
     if stops is not None:
         bad = np.append(bad, function(stops))
-    grid = samples.as_grid(V)
-    sides = product(range(field.dim), (0, -1))
-    border = min(grid.take(end, axis).min() for axis, end in sides)
+    border = _lowest_on_border(function, samples, V)
     lowest = 0.0
-    while (gap := _first_gap(bad, float(border), lowest)) is not None:
+    while (gap := _first_gap(bad, border, lowest)) is not None:
         c_in, c_out = gap
         inside = np.flatnonzero((c_in <= V) & (c_out >= V))
         weak = inside[_weakest(V[inside], outward[inside], gap)]
@@ -164,8 +162,9 @@ def critical_levels(
 ) -> FloatArray:
     """Returns the levels of the critical points of V in the box, at which V_dot is zero.
 
-    They are found by Newton's method from the local minima of the `slope` |grad V| (ky, kx) on
-    the grid of the samples, in space (kz, ky, kx); V falls fast so near to them that samples miss them.
+    They are found by Newton's method from the local minima of the `slope` |grad V| on the grid
+    of the samples, (ky, kx) or (kz, ky, kx); V falls fast so near to them that samples miss
+    them.
     """
     lowest = slope == ndimage.minimum_filter(slope, size=3)
     x = samples.x[samples.on_grid][lowest.ravel()]
@@ -180,6 +179,19 @@ def critical_levels(
     lower, upper = samples.corners
     inside = ((lower <= x) & (x <= upper)).all(axis=1)
     return function(x[found & inside])
+
+
+def _lowest_on_border(function: LyapunovFunction, samples: Samples, V: FloatArray) -> float:
+    """Returns the lowest V on the border of the box, from V at the samples (n,)."""
+    grid, axes = samples.as_grid(V), range(function.dim)
+    lowest = min(grid.take(end, axis).min() for axis, end in product(axes, (0, -1)))
+    if max(axis[1] - axis[0] for axis in samples.axes) > function.sigma:
+        # Points of so coarse a grid lie around the lowest place, which is beside a waypoint.
+        for axis, corner in product(axes, samples.corners):
+            beside = function.mixture.points.copy()
+            beside[:, axis] = corner[axis]
+            lowest = min(lowest, function(beside).min())
+    return float(lowest)
 
 
 def _first_gap(bad: FloatArray, border: float, lowest: float) -> tuple[float, float] | None:

@@ -89,7 +89,8 @@ def sublevel_set(
     pieces = _pieces_in(cells, function.mixture.points, reference, lower, step)
     # What is farthest from the path is on the edge.
     edge = cells.numbers[cells.on_edge]
-    distance = reference.project(lower + (edge + 0.5) * step).distance
+    centers = lower + (edge + 0.5) * step
+    first_or_last = np.stack([edge == 0, edge == shape - 1])
     return SublevelSet(
         level=level,
         components=tuple(
@@ -97,9 +98,25 @@ def sublevel_set(
             for label, held in enumerate(pieces)
         ),
         area=float(len(cells.numbers) * step ** len(lower)),
-        half_width=float(distance.max(initial=0.0)),
-        compact=not ((edge == 0) | (edge == shape - 1)).any(),
+        half_width=float(reference.project(centers).distance.max(initial=0.0)),
+        compact=not (function(_on_border(centers, first_or_last, box)) <= level).any(),
     )
+
+
+def _on_border(
+    centers: FloatArray, first_or_last: BoolArray, box: tuple[FloatArray, FloatArray]
+) -> FloatArray:
+    """Returns where the outermost cells are next to the border of the box, (k, d).
+
+    Args:
+        centers: The centres of cells, (n, d).
+        first_or_last: Whether each is a first, and a last, one along each axis, (2, n, d).
+        box: Lower and upper corner.
+    """
+    end, cell, axis = np.nonzero(first_or_last)
+    x = centers[cell]
+    x[np.arange(len(x)), axis] = np.stack(box)[end, axis]
+    return x
 
 
 def _num_cells(function: LyapunovFunction, level: float, size: float) -> int:
@@ -176,7 +193,7 @@ class Raster:
     def label_at(self, numbers: IntArray) -> IntArray:
         """Returns the components of the cells with these numbers (k, d), or -1, (k,)."""
         at = _find(self._keys, self._key(np.clip(numbers, -1, self._limit)))
-        return np.where(at >= 0, self.label[at], -1)
+        return np.append(self.label, -1)[at]
 
     def _key(self, numbers: IntArray) -> IntArray:
         return np.asarray((numbers + 2) @ self._strides)
