@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.lyapunov import (
     LyapunovFunction,
@@ -17,7 +18,7 @@ from sgvf_drake.lyapunov import (
 from sgvf_drake.lyapunov.band import LEVEL_MARGIN
 from sgvf_drake.lyapunov.verification import STAND_IN, Violation
 from sgvf_drake.paths import Piece, ReferencePath
-from tests.fields import ACROSS, SPIN, exact_field, linear_network, tilted_circle
+from tests.fields import ACROSS, SPIN, TURN, exact_field, linear_network, tilted_circle
 from tests.helpers import circle
 
 # One noise level of V is enough where its choice is not the matter.
@@ -214,24 +215,23 @@ def test_margins_are_those_of_the_same_circle_in_the_plane(tilted):
     field, _, found = tilted
     levels = found.margins.levels
     turned = np.linalg.qr(np.random.default_rng(0).standard_normal((3, 3)))[0]
-    spun = linear_network(turned @ SPIN @ turned.T, np.zeros(3))
+    spun = turned @ SPIN @ turned.T
     unit = field.cloud.unit_length
     points = field.cloud.points
-    for other in (
-        exact_field(points @ turned.T, spun, sigma=0.4, gain=0.8),
-        exact_field(points @ ACROSS.T, sigma=0.4, gain=0.8),
+    for cloud, tangent in (
+        (PointCloud(points @ turned.T), linear_network(spun, np.zeros(3))),
+        (PointCloud(points @ ACROSS.T), linear_network(TURN)),
     ):
-        # The same noise in the unit of the waypoints.
-        scale = unit / other.cloud.unit_length
-        other = exact_field(
-            other.cloud, other.tangent_network, sigma=0.4 * scale, gain=0.8 / scale
-        )
+        # The same noise and slope in the unit of the waypoints.
+        scale = unit / cloud.unit_length
+        other = exact_field(cloud, tangent, sigma=0.4 * scale, gain=0.8 * scale)
         function = LyapunovFunction.of(other)
         ends = float(levels[0]), float(levels[-1])
         margins = inward_margins(other, function, take_samples(other), *ends)
         np.testing.assert_allclose(margins.e_star, found.margins.e_star, rtol=0.01)
 
 
+@pytest.mark.full
 def test_a_planted_sink_on_the_path_in_space_is_found(tilted):
     field, path, _ = tilted
     sink = path.pieces[0].vertices[700]
@@ -245,6 +245,7 @@ def test_a_planted_sink_on_the_path_in_space_is_found(tilted):
     assert "m vanishes at (" in found.reason
 
 
+@pytest.mark.full
 def test_where_v_rises_in_space_is_told_with_its_volume(tilted):
     field, path, _ = tilted
     planted = exact_field(
