@@ -14,6 +14,7 @@ import numpy as np
 
 from sgvf_drake import plotting
 from sgvf_drake.arrays import FloatArray, box_grid, plane_grid
+from sgvf_drake.clouds.point_cloud import BOX_FACTOR
 from sgvf_drake.experiments.theorem import DecreaseCheck, LevelSetCheck, ModeCheck
 from sgvf_drake.fields import GuidingField
 from sgvf_drake.fields.vectors import component_along
@@ -89,13 +90,11 @@ class Section:
         return (x - self.origin) @ self.directions.T
 
     def samples(self, field: GuidingField, found: Verification) -> Samples:
-        """Returns a field on a grid over the section, which reaches as far as the box does."""
+        """Returns a field on a grid over the section, as far around the cloud as its box is."""
         if field.dim == 2:
             return found.samples
-        flat = self.coordinates(field.cloud.points)
-        lower, upper = field.cloud.box
-        beyond = (float((upper - lower).max()) - np.ptp(flat, axis=0).max()) / 2
-        axes, grid = box_grid((flat.min(axis=0) - beyond, flat.max(axis=0) + beyond), MAP_SIZE)
+        corner = np.full(2, BOX_FACTOR * np.abs(self.coordinates(field.cloud.points)).max())
+        axes, grid = box_grid((-corner, corner), MAP_SIZE)
         x = self.points(grid)
         return Samples(axes, x, *field.components(x))
 
@@ -116,7 +115,7 @@ def _section_across(field: GuidingField, point: FloatArray) -> Section:
     points = field.mixture.points
     near = np.argsort(np.linalg.norm(points - point, axis=1))[:NEAREST]
     axes = _principal(points[near])[1]
-    return Section(point, axes[1:], ("across the path", "across both"))
+    return Section(point, axes[1:], ("one way across the path", "the other way across"))
 
 
 def _principal(points: FloatArray) -> tuple[FloatArray, FloatArray]:
