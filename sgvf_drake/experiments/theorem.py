@@ -368,7 +368,7 @@ def check_theorem(
     grid = grid_starts(field.cloud.box, starts, field.dim)
     inside = grid[function(grid) <= c_out]
     if len(inside) < FEW_STARTS:
-        # So coarse a grid misses most of a thin basin, as in space; that of the samples does not.
+        # So coarse a grid misses most of a thin basin, as in space.
         grid = found.samples.x[found.samples.on_grid]
         inside = grid[function(grid) <= c_out]
         inside = inside[:: max(1, len(inside) // starts)]

@@ -199,10 +199,10 @@ class Raster:
         return np.asarray((numbers + 2) @ self._strides)
 
     def _euler(self, count: int) -> FloatArray:
-        """Returns the Euler characteristic of each component: cells less pairs, and so on.
+        """Returns the Euler characteristic of each component, (count,).
 
-        Two cells with a common side are a pair; in the plane, four around a corner are taken
-        away from the pairs, in space eight are from the fours.
+        That is cells less pairs with a common side, plus fours around a corner of a square,
+        less eights around a corner of a cube.
         """
         offsets = corners(len(self._strides))
         there = [_find(self._keys, self._keys + step) >= 0 for step in offsets @ self._strides]
@@ -214,9 +214,9 @@ class Raster:
         return total
 
     def _cavities(self, label: int) -> int:
-        """Returns the number of surfaces of a component, less that around it.
+        """Returns the number of surfaces of a component beside the one around it.
 
-        They are the connected parts of the cells beside it, at least across corners.
+        Each is a part of the cells next to it that hangs together, if only across corners.
         """
         steps = around(len(self._strides)) @ self._strides
         own = self._keys[self.label == label]
@@ -232,9 +232,9 @@ def _find(keys: IntArray, wanted: IntArray) -> IntArray:
 
 
 def _joined(keys: IntArray, steps: IntArray) -> tuple[int, IntArray]:
-    """Returns the number of connected parts, and which of them each of the keys (n,) is in.
+    """Returns how many parts keys in order, (n,), make, and the part of each, (n,).
 
-    Those are connected, which are in order, whose difference is a step.
+    Two keys are of one part where their difference is one of the steps.
     """
     start = np.tile(np.arange(len(keys)), len(steps))
     end = _find(keys, np.add.outer(steps, keys).ravel())
