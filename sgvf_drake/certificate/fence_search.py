@@ -97,17 +97,19 @@ def _around_saddle(field: BoundedField, saddle: FloatArray, come: FloatArray) ->
 def _backwards(rate: Rate, saddle: FloatArray, way: FloatArray) -> FloatArray:
     """Returns points (n, 2) from a saddle back along its stable manifold, on one way."""
 
+    start = saddle + STEP * way
+    slow = np.linalg.norm(rate(0.0, start)) / 2
+
     def back(t: float, z: FloatArray) -> FloatArray:
         m = rate(t, z)
         return -m / np.linalg.norm(m)
 
-    def inside(_: float, z: FloatArray) -> float:
-        return float(HALF + 2 * STEP - np.abs(z).max())
+    def ends(t: float, z: FloatArray) -> float:
+        """Falls below zero out of the box, and at a source, from which robots come."""
+        return float(min(HALF + 2 * STEP - np.abs(z).max(), np.linalg.norm(rate(t, z)) - slow))
 
-    inside.terminal = True  # type: ignore[attr-defined]
-    run = solve_ivp(
-        back, (0, LONGEST), saddle + STEP * way, events=inside, dense_output=True, **PRECISION
-    )
+    ends.terminal = True  # type: ignore[attr-defined]
+    run = solve_ivp(back, (0, LONGEST), start, events=ends, dense_output=True, **PRECISION)
     line = run.sol(np.linspace(0, run.t[-1], int(run.t[-1] / STEP) + 2)).T
     return np.concatenate([saddle[None], line])
 
