@@ -211,6 +211,20 @@ class TaylorModel:
         )
         return np.asarray(parts), np.asarray(own)
 
+    def bend(self, found: Expansion, rounding: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Makes these the models of functions of them, in place; see `kernels.bend_layer`.
+
+        For a layer of a network, which asks for nothing of its arguments afterwards.
+
+        Args:
+            found: The expansions of the functions, about `value`.
+            rounding: (n, f) what the last affine map added to the remainders.
+        """
+        expansion = (found.value, found.slope, found.curvature, found.rest)
+        return kernels.bend_layer(
+            self.parts, self._ranges, self.remainder, rounding, *expansion
+        )
+
     def _sum(self) -> "TaylorModel":
         """Returns the model (n, 1) of the sum of the functions."""
         return _rounded(
