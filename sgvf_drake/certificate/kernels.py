@@ -148,9 +148,9 @@ def product(
 
 @part
 def _compose(
+    i: int,
     parts: FloatArray,
-    linear: FloatArray,
-    curved: FloatArray,
+    own_ranges: FloatArray,
     about: FloatArray,
     value: FloatArray,
     slope: FloatArray,
@@ -159,35 +159,38 @@ def _compose(
     own: FloatArray,
     size: FloatArray,
 ) -> None:
-    """Makes the parts over one patch those of functions of them, in place; see `composed`.
+    """Makes the parts over a patch, i, those of functions of them, in place; see `composed`.
 
-    `own` becomes what these leave out, and `size` what their parts are summed up from, at most.
+    What these leave out goes to `own`, and what they are summed up from, at most, to `size`.
     """
-    rows, f = parts.shape
+    _, rows, f = parts.shape
     k = _num_parameters(rows)
     for j in range(f):
-        off, bend = abs(parts[0, j] - about[j]), abs(curvature[j]) / 2
-        beyond = curved[j] + off
+        off, bend = abs(parts[i, 0, j] - about[i, j]), abs(curvature[i, j]) / 2
+        linear, curved = own_ranges[LINEAR, i, j], own_ranges[CURVED, i, j] + off
+        steep = abs(slope[i, j])
         # t^2 less the square of its linear part.
-        left = rest[j] + bend * beyond * (2 * linear[j] + beyond) + abs(slope[j]) * off
-        size[j] = abs(value[j]) + abs(slope[j]) * (linear[j] + beyond) + bend * linear[j] ** 2
-        own[j] = (1 + SLACK) * left + SLACK * (size[j] + left) + TINY
+        left = rest[i, j] + bend * curved * (2 * linear + curved) + steep * off
+        added = abs(value[i, j]) + steep * (linear + curved) + bend * linear**2
+        own[i, j] = (1 + SLACK) * left + SLACK * (added + left) + TINY
+        size[i, j] = added
     # Slopes last, since the rows of squares ask for them.
     r = k
     for x in range(1, k + 1):
         r += 1
         for j in range(f):
-            parts[r, j] = slope[j] * parts[r, j] + curvature[j] / 2 * parts[x, j] ** 2
+            square = curvature[i, j] / 2 * parts[i, x, j] ** 2
+            parts[i, r, j] = slope[i, j] * parts[i, r, j] + square
         for y in range(x + 1, k + 1):
             r += 1
             for j in range(f):
-                mixed = parts[x, j] * parts[y, j]
-                parts[r, j] = slope[j] * parts[r, j] + curvature[j] * mixed
+                mixed = curvature[i, j] * (parts[i, x, j] * parts[i, y, j])
+                parts[i, r, j] = slope[i, j] * parts[i, r, j] + mixed
     for x in range(1, k + 1):
         for j in range(f):
-            parts[x, j] *= slope[j]
+            parts[i, x, j] *= slope[i, j]
     for j in range(f):
-        parts[0, j] = value[j]
+        parts[i, 0, j] = value[i, j]
 
 
 @kernel
@@ -214,11 +217,9 @@ def composed(
         rest: A bound of what is left.
     """
     n, _, f = parts.shape
-    found, own, size = parts.copy(), np.empty((n, f)), np.empty(f)
-    linear, curved = own_ranges[LINEAR], own_ranges[CURVED]
+    found, own, size = parts.copy(), np.empty((n, f)), np.empty((n, f))
     for i in range(n):
-        expansion = (about[i], value[i], slope[i], curvature[i], rest[i])
-        _compose(found[i], linear[i], curved[i], *expansion, own[i], size)
+        _compose(i, found, own_ranges, about, value, slope, curvature, rest, own, size)
     return found, own
 
 
@@ -262,6 +263,7 @@ def bend_layer(
     own_ranges: FloatArray,
     remainder: FloatArray,
     rounding: FloatArray,
+    about: FloatArray,
     value: FloatArray,
     slope: FloatArray,
     curvature: FloatArray,
@@ -270,32 +272,30 @@ def bend_layer(
     """Makes the models of the arguments of a layer those of its units, in place.
 
     Args:
-        parts: As of `composed`, and the following, about the values of the arguments.
+        parts: As of `composed`, and the following.
         own_ranges: The same.
         remainder: (n, f) the remainders.
         rounding: (n, f) what the last affine map added to these.
-        value: As of `composed`, and the following.
+        about: As of `composed`, and the following.
+        value: The same.
         slope: The same.
         curvature: The same.
         rest: The same.
 
     Returns:
         What the curves and the rounding of a layer add to each unit at most, (n, f), and what
-        the units and their parts are at most, (n,).
+        the units and their parts are at most, (n, f).
     """
     n, _, f = parts.shape
-    own, size, largest = np.empty((n, f)), np.empty(f), np.zeros(n)
-    linear, curved, about = own_ranges[LINEAR], own_ranges[CURVED], np.empty(f)
+    own, size = np.empty((n, f)), np.empty((n, f))
     for i in range(n):
-        about[:] = parts[i, 0]
-        expansion = (about, value[i], slope[i], curvature[i], rest[i])
-        _compose(parts[i], linear[i], curved[i], *expansion, own[i], size)
+        _compose(i, parts, own_ranges, about, value, slope, curvature, rest, own, size)
         for j in range(f):
             steep = abs(slope[i, j])
             remainder[i, j] = (1 + SLACK) * (steep * remainder[i, j] + own[i, j])
             own[i, j] = (1 + SLACK) * (own[i, j] + steep * rounding[i, j])
-            largest[i] = max(largest[i], (1 + SLACK) * (size[j] + remainder[i, j]))
-    return own, largest
+            size[i, j] = (1 + SLACK) * (size[i, j] + remainder[i, j])
+    return own, size
 
 
 @kernel

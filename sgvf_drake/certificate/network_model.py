@@ -21,7 +21,6 @@ from sgvf_drake.certificate.patches import Patches
 from sgvf_drake.certificate.taylor_model import (
     Differentiable,
     DualModel,
-    Model,
     TaylorModel,
     Univariate,
 )
@@ -158,33 +157,26 @@ def model_network(
 
 
 def _model(network: _Network, patches: Patches, held: Sequence[float]) -> TaylorModel:
-    inputs = TaylorModel.position(patches, held)
-    if network.features is not None:
-        inputs = _features(network.features, inputs)
-    units, layers = _Units.of(inputs), []
+    units, layers = _entering(network.features, TaylorModel.position(patches, held)), []
+    entry = units.remainder
     for affine in network.layers:
         units, layer = _activate(network.activation, *_mapped(affine, units))
         layers.append(layer)
     outputs, rounding = _mapped(network.outputs, units)
-    carried = _carried(network, layers, inputs.remainder)
+    carried = _carried(network, layers, entry)
     return TaylorModel(outputs.parts, carried + rounding + TINY)
 
 
-def _features(waves: _Affine, inputs: Model) -> Model:
+def _entering(waves: _Affine | None, inputs: TaylorModel) -> _Units:
+    """Returns what the first layer sees."""
+    if waves is None:
+        return _Units.of(inputs)
     d = waves.weight.shape[1]
-    angles = _affine(waves, inputs.functions(slice(d)))
-    return angles.apply(WAVES).joined(inputs.functions(slice(d, None)))
-
-
-def _affine(affine: _Affine, units: Model) -> Model:
-    """Returns the models of weight units + bias."""
-    if isinstance(units, TaylorModel):
-        return _mapped(affine, _Units.of(units))[0]
-    slopes = tuple(
-        _mapped(replace(affine, bias=np.zeros_like(affine.bias)), _Units.of(slope))[0]
-        for slope in units.slopes
-    )
-    return DualModel(_mapped(affine, _Units.of(units.value))[0], slopes)
+    units, _ = _activate(WAVES, *_mapped(waves, _Units.of(inputs.functions(slice(d)))))
+    if d == inputs.remainder.shape[1]:
+        return units
+    passed = inputs.functions(slice(d, None))
+    return _Units.of(TaylorModel(units.parts, units.remainder).joined(passed))
 
 
 def _mapped(affine: _Affine, units: _Units) -> tuple[TaylorModel, FloatArray]:
@@ -204,8 +196,9 @@ def _activate(
     """Returns the units of a layer in the place of their inputs, and what the way back needs."""
     about = np.ascontiguousarray(inputs.value)
     found = activation.expand(about, inputs.lower, inputs.upper)
-    own, largest = inputs.bend(found, rounding)
-    return _Units(inputs.parts, inputs.remainder, largest), _Layer(found.slope, own)
+    own, magnitude = inputs.bend(found, about, rounding)
+    units = _Units(inputs.parts, inputs.remainder, magnitude.max(axis=1))
+    return units, _Layer(found.slope, own)
 
 
 def _carried(network: _Network, layers: list[_Layer], entry: FloatArray) -> FloatArray:
@@ -238,9 +231,18 @@ def dual_network(
     """
     units, prepared = DualModel.position(patches, held), _Network.of(network)
     if prepared.features is not None:
-        units = _features(prepared.features, units)
+        d = prepared.features.weight.shape[1]
+        angles = _affine(prepared.features, units.functions(slice(d)))
+        units = angles.apply(WAVES).joined(units.functions(slice(d, None)))
     if not isinstance(prepared.activation, Differentiable):
         raise ConfigurationError(f"{network.activation.name} has no derivative everywhere")
     for affine in prepared.layers:
         units = _affine(affine, units).apply(prepared.activation)
     return _affine(prepared.outputs, units)
+
+
+def _affine(affine: _Affine, units: DualModel) -> DualModel:
+    """Returns the models of weight units + bias, and of their derivatives."""
+    linear = replace(affine, bias=np.zeros_like(affine.bias))
+    slopes = (_mapped(linear, _Units.of(slope))[0] for slope in units.slopes)
+    return DualModel(_mapped(affine, _Units.of(units.value))[0], tuple(slopes))

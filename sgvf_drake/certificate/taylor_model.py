@@ -211,16 +211,19 @@ class TaylorModel:
         )
         return np.asarray(parts), np.asarray(own)
 
-    def bend(self, found: Expansion, rounding: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def bend(
+        self, found: Expansion, about: FloatArray, rounding: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
         """Makes these the models of functions of them, in place; see `kernels.bend_layer`.
 
         For a layer of a network, which asks for nothing of its arguments afterwards.
 
         Args:
-            found: The expansions of the functions, about `value`.
+            found: The expansions of the functions.
+            about: What they are about, (n, f).
             rounding: (n, f) what the last affine map added to the remainders.
         """
-        expansion = (found.value, found.slope, found.curvature, found.rest)
+        expansion = (about, found.value, found.slope, found.curvature, found.rest)
         return kernels.bend_layer(
             self.parts, self._ranges, self.remainder, rounding, *expansion
         )
