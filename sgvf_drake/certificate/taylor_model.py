@@ -17,6 +17,7 @@ coordinates of the space, which a patch may have more of than parameters.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations_with_replacement
 from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
@@ -88,6 +89,8 @@ class TaylorModel:
         parts = np.zeros((n, 1 + k + k * (k + 1) // 2, d + len(held)))
         parts[:, 0, :d], parts[:, 0, d:] = patches.centers, held
         parts[:, 1 : 1 + k, :d] = np.swapaxes(patches.axes, 1, 2)
+        if patches.twists is not None:
+            parts[:, 2 + k : 1 + 2 * k, :d] = np.swapaxes(patches.twists, 1, 2)
         return cls(parts, np.zeros((n, d + len(held))))
 
     def __getitem__(self, rows: BoolArray) -> "TaylorModel":
@@ -237,10 +240,23 @@ class TaylorModel:
             )
         )
 
+    def twisted(self) -> "TaylorModel":
+        """Returns models over twisted patches, from those over `Patches.untwisted`."""
+        k = (self.num_parameters + 1) // 2
+        pairs = list(combinations_with_replacement(range(self.num_parameters), 2))
+        inner = [row for row, (_, b) in enumerate(pairs) if b < k]
+        outer = [row for row, (_, b) in enumerate(pairs) if b >= k]
+        parts = np.concatenate(
+            [self.parts[:, : 1 + k], self.quadratic[:, inner]], axis=1
+        )
+        parts[:, 2 + k : 1 + 2 * k] += self.slopes[:, k:]
+        left = np.abs(self.quadratic[:, outer]).sum(axis=1)
+        return _rounded(parts, self.remainder + left, self.magnitude)
+
     def at_end(self, parameter: int, side: int) -> "TaylorModel":
         """Returns the models over the faces of patches where a parameter is 1 or -1."""
         k = self.num_parameters
-        pairs = [(a, b) for a in range(k) for b in range(a, k)]
+        pairs = list(combinations_with_replacement(range(k), 2))
         parts, kept = self.parts.copy(), [0]
         for row, pair in enumerate(pairs, start=1 + k):
             match pair.count(parameter):

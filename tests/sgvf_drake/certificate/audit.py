@@ -9,6 +9,7 @@ import numpy as np
 
 from sgvf_drake.certificate.field_model import TAYLOR, dual_field, has_dual, model_field
 from sgvf_drake.certificate.patches import Patches
+from sgvf_drake.certificate.taylor_model import TaylorModel
 
 from .ball_fields import BallField
 from .balls import corners, dot, mixture_at, model_at, point_of
@@ -18,10 +19,11 @@ from .balls import corners, dot, mixture_at, model_at, point_of
 ON_A_SIDE, INSIDE, TRIED = 4, 4, 200
 
 
-def random_patches(field, half, k, count, rng):
+def random_patches(field, half, k, count, rng, *, twisted=False):
     """Turned patches of k parameters: half of them anywhere, half about the path.
 
-    Of those in the plane with two parameters every other one is a square of a grid.
+    Every other one lies along the axes, in the plane with two parameters a square of a
+    grid.  All are `twisted`, if that is asked for, by up to a half of their sides.
     """
     d = field.dim
     anywhere = rng.uniform(-5, 5, (count - count // 2, d))
@@ -32,7 +34,9 @@ def random_patches(field, half, k, count, rng):
     axes = half * np.linalg.qr(rng.standard_normal((count, d, d)))[0][:, :, :k]
     axes *= rng.uniform(0.1, 1, (count, 1, k))
     axes[::2] = half * np.eye(d, k)
-    return Patches(centers, axes)
+    if not twisted:
+        return Patches(centers, axes)
+    return Patches(centers, axes, half * rng.uniform(-0.5, 0.5, (count, d, k - 1)))
 
 
 def models_of(field, levels, patches):
@@ -76,7 +80,7 @@ def adverse_parameters(field, patches, model, row, rng):
         [-1, 1], ON_A_SIDE
     )
     tried = rng.uniform(-1, 1, (TRIED, k))
-    z = patches.centers[row] + tried @ patches.axes[row].T
+    z = polynomial(TaylorModel.position(patches), row, tried)
     m = field(field.cloud.denormalize(z))
     worst = np.abs(m - polynomial(model, row, tried)).argmax(axis=0)
     inside = rng.uniform(-1, 1, (INSIDE, k))
