@@ -146,6 +146,27 @@ def product(
     return parts, remainder
 
 
+@kernel
+def weighted_sum(
+    parts: FloatArray, own_ranges: FloatArray, remainder: FloatArray, weights: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Returns the parts and remainders (n, 1) of sums of functions times weights, (n or 1, f)."""
+    n, rows, f = parts.shape
+    step = min(len(weights) - 1, 1)
+    found, rests = np.zeros((n, rows, 1)), np.empty((n, 1))
+    for i in range(n):
+        for r in range(rows):
+            for j in range(f):
+                found[i, r, 0] += weights[step * i, j] * parts[i, r, j]
+        rest = size = 0.0
+        for j in range(f):
+            weight = abs(weights[step * i, j])
+            rest += weight * remainder[i, j]
+            size += weight * own_ranges[MAGNITUDE, i, j]
+        rests[i, 0] = (1 + SLACK) * rest + SLACK * size + TINY
+    return found, rests
+
+
 @part
 def _compose(
     i: int,

@@ -7,7 +7,7 @@ product of the weights and slopes behind it (as backward bounds of networks do, 
 them).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -147,13 +147,17 @@ def model_network(
     Raises:
         ConfigurationError: Nothing is known that bounds its activation.
     """
-    prepared, count = _Network.of(network), -(-len(patches) // CHUNK)
-    ends = np.linspace(0, len(patches), max(count, 1) + 1).astype(int)
-    models = [_model(prepared, patches[a:b], held) for a, b in pairwise(ends)]
-    return TaylorModel(
-        np.concatenate([model.parts for model in models]),
-        np.concatenate([model.remainder for model in models]),
+    prepared = _Network.of(network)
+    return TaylorModel.over_all(
+        [_model(prepared, some, held) for some in _in_chunks(patches)]
     )
+
+
+def _in_chunks(patches: Patches) -> Iterator[Patches]:
+    """Yields patches, about as many each time."""
+    count = max(-(-len(patches) // CHUNK), 1)
+    for first, last in pairwise(np.linspace(0, len(patches), count + 1).astype(int)):
+        yield patches[first:last]
 
 
 def _model(network: _Network, patches: Patches, held: Sequence[float]) -> TaylorModel:
@@ -229,16 +233,23 @@ def dual_network(
     Raises:
         ConfigurationError: Nothing bounds its activation, or it has no derivative.
     """
-    units, prepared = DualModel.position(patches, held), _Network.of(network)
-    if prepared.features is not None:
-        d = prepared.features.weight.shape[1]
-        angles = _affine(prepared.features, units.functions(slice(d)))
-        units = angles.apply(WAVES).joined(units.functions(slice(d, None)))
+    prepared = _Network.of(network)
     if not isinstance(prepared.activation, Differentiable):
         raise ConfigurationError(f"{network.activation.name} has no derivative everywhere")
-    for affine in prepared.layers:
-        units = _affine(affine, units).apply(prepared.activation)
-    return _affine(prepared.outputs, units)
+    return DualModel.over_all(
+        [_dual(prepared, some, held) for some in _in_chunks(patches)]
+    )
+
+
+def _dual(network: _Network, patches: Patches, held: Sequence[float]) -> DualModel:
+    units = DualModel.position(patches, held)
+    if network.features is not None:
+        d = network.features.weight.shape[1]
+        angles = _affine(network.features, units.functions(slice(d)))
+        units = angles.apply(WAVES).joined(units.functions(slice(d, None)))
+    for affine in network.layers:
+        units = _affine(affine, units).apply(network.activation)
+    return _affine(network.outputs, units)
 
 
 def _affine(affine: _Affine, units: DualModel) -> DualModel:

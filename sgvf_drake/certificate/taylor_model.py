@@ -93,6 +93,14 @@ class TaylorModel:
             parts[:, 2 + k : 1 + 2 * k, :d] = np.swapaxes(patches.twists, 1, 2)
         return cls(parts, np.zeros((n, d + len(held))))
 
+    @classmethod
+    def over_all(cls, models: Sequence["TaylorModel"]) -> "TaylorModel":
+        """Returns models over some patches and over others, after each other."""
+        return cls(
+            np.concatenate([model.parts for model in models]),
+            np.concatenate([model.remainder for model in models]),
+        )
+
     def __getitem__(self, rows: BoolArray) -> "TaylorModel":
         """Returns the models over some of the patches."""
         return TaylorModel(self.parts[rows], self.remainder[rows])
@@ -170,13 +178,15 @@ class TaylorModel:
 
     def dot(self, other: "TaylorModel") -> "TaylorModel":
         """Returns the model (n, 1) of the sum of the products of the functions."""
-        return (self * other)._sum()
+        products = self * other
+        return products.weighted(np.ones((1, products.remainder.shape[1])))
 
     def weighted(self, weights: FloatArray) -> "TaylorModel":
-        """Returns the model (n, 1) of the sum of the functions, times weights (n, f)."""
-        size = np.abs(weights)
-        parts = weights[:, None] * self.parts
-        return _rounded(parts, size * self.remainder, size * self.magnitude)._sum()
+        """Returns the model (n, 1) of the sum of the functions, times weights (n or 1, f)."""
+        weights = np.ascontiguousarray(weights, dtype=float)
+        return TaylorModel(
+            *kernels.weighted_sum(self.parts, self._ranges, self.remainder, weights)
+        )
 
     def apply(self, function: Univariate, *, least: float = -np.inf) -> "TaylorModel":
         """Returns the models of a function of each.
@@ -229,15 +239,6 @@ class TaylorModel:
         expansion = (about, found.value, found.slope, found.curvature, found.rest)
         return kernels.bend_layer(
             self.parts, self._ranges, self.remainder, rounding, *expansion
-        )
-
-    def _sum(self) -> "TaylorModel":
-        """Returns the model (n, 1) of the sum of the functions."""
-        return _rounded(
-            *(
-                part.sum(axis=-1, keepdims=True)
-                for part in (self.parts, self.remainder, self.magnitude)
-            )
         )
 
     def twisted(self) -> "TaylorModel":
@@ -307,6 +308,13 @@ class DualModel:
             parts[:, 0] = unit
             slopes.append(TaylorModel(parts, value.remainder))
         return cls(value, tuple(slopes))
+
+    @classmethod
+    def over_all(cls, models: Sequence["DualModel"]) -> "DualModel":
+        """Returns models over some patches and over others, after each other."""
+        slopes = zip(*(model.slopes for model in models), strict=True)
+        value = TaylorModel.over_all([model.value for model in models])
+        return cls(value, tuple(map(TaylorModel.over_all, slopes)))
 
     @property
     def divergence(self) -> TaylorModel:

@@ -16,7 +16,7 @@ from sgvf_drake.fields.compiled import CompiledField
 Precision = tuple[str, float]
 # SciPy's method, and its relative and absolute tolerance: where nothing else is told, and where
 # an orbit need not be more than sketched, at half the cost.
-PRECISE, ROUGH = ("DOP853", 1e-7), ("RK45", 1e-5)
+PRECISE, ROUGH = ("DOP853", 1e-7), ("RK45", 1e-6)
 # The longest step, in time at |m| = 1, by which no passage of a plane within `NEAR` is missed.
 LONGEST_STEP = 0.15
 # A return to within this is looked at, in U, and one to within so many tolerances ends the
