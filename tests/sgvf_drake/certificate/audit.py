@@ -7,7 +7,14 @@ NumPy's functions, nor float64.
 from flint import arb
 import numpy as np
 
-from sgvf_drake.certificate.field_model import TAYLOR, dual_field, has_dual, model_field
+from sgvf_drake.certificate.field_model import (
+    TAYLOR,
+    direction_dual,
+    direction_model,
+    dual_field,
+    has_dual,
+    model_field,
+)
 from sgvf_drake.certificate.patches import Patches
 from sgvf_drake.certificate.taylor_model import TaylorModel
 
@@ -46,7 +53,7 @@ def models_of(field, levels, patches):
     """
     with np.errstate(over="ignore", invalid="ignore"):
         m, (S, N) = model_field(field, patches), TAYLOR.score_and_tangent(field, patches)
-        found = {"N": N, "S": S, "m": m}
+        found = {"N": N, "S": S, "m": m, "direction": direction_model(field, patches)}
         if levels is not None:
             gradient = levels.gradient(patches)
             V = levels.level(patches, gradient)
@@ -55,6 +62,8 @@ def models_of(field, levels, patches):
             dual = dual_field(field, patches)
             found |= {"div m": dual.divergence}
             found |= {f"m by x_{i}": slope for i, slope in enumerate(dual.slopes)}
+            slopes = direction_dual(field, patches).slopes
+            found |= {f"direction by x_{i}": slope for i, slope in enumerate(slopes)}
     return found
 
 
@@ -62,9 +71,10 @@ def values_at(evaluated, levels, z):
     """The same at a point, in balls."""
     there = evaluated(z)
     slopes = there.slopes
-    found = {"N": there.N, "S": there.S, "m": there.m}
+    found = {"N": there.N, "S": there.S, "m": there.m, "direction": there.direction}
     found |= {"div m": [sum((row[i] for i, row in enumerate(slopes)), arb(0))]}
     found |= {f"m by x_{i}": row for i, row in enumerate(slopes)}
+    found |= {f"direction by x_{i}": row for i, row in enumerate(there.direction_slopes)}
     if levels is not None:
         V, gradient = mixture_at(levels.mixture, z)
         level = V - arb(levels.lowest)
