@@ -102,10 +102,9 @@ def _cosine(u: FloatArray) -> Jet:
 
 
 def _waves(u: FloatArray) -> Jet:
-    first, second = np.split(u, 2, axis=-1)
-    sine, cosine = np.sin(first), np.cos(second)
+    angles, _ = np.split(u, 2, axis=-1)
+    sine, cosine = np.sin(angles), np.cos(angles)
     value = np.concatenate([sine, cosine], axis=-1)
-    # The arguments are the same twice.
     return value, np.concatenate([cosine, -sine], axis=-1), -value
 
 
@@ -119,7 +118,7 @@ def _fall(y: FloatArray) -> Jet:
 SINE = Smooth(_sine, -1.0, 1.0, 1.0)
 COSINE = Smooth(_cosine, -1.0, 1.0, 1.0)
 WAVES = Smooth(_waves, -1.0, 1.0, 1.0)
-"""Sines of the first half of functions, and cosines of the second, which is the same again."""
+"""Sines of the first half of functions, and cosines of the second, which is the first again."""
 
 
 def _or_flat(

@@ -377,7 +377,7 @@ def _exponentials(x: FloatArray, scale: FloatArray, found: FloatArray) -> None:
     They are right within 4 units of roundoff.  The series up to r^13 leaves less than 5e-18
     where |r| < .347, and r is off by .35 units.  In Horner's scheme the last step adds less
     than exp(r) + |exp(r) - 1| units, that before |r| times 1.4, and all others a tenth; and
-    exp(r) is above .7.  Twice a whole number of times is exact.
+    exp(r) is above .7.  The power of two is exact.
 
     Args:
         x: (f,).

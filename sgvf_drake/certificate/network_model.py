@@ -80,9 +80,9 @@ class _Affine:
 
 @dataclass(frozen=True, eq=False)
 class _Network:
-    """The maps of a network: of its features, if it has some, of its layers and its outputs."""
+    """The maps of a network, to the angles of its features first, if it has some."""
 
-    features: _Affine | None
+    angles: _Affine | None
     layers: tuple[_Affine, ...]
     outputs: _Affine
     activation: Univariate
@@ -91,15 +91,11 @@ class _Network:
     def of(cls, network: Perceptron) -> "_Network":
         *layers, outputs = map(_Affine.of, network.weights, network.biases)
         activation = find_expansion(network.activation.name)
-        return cls(_waves(network.features), tuple(layers), outputs, activation)
+        return cls(_angles(network.features), tuple(layers), outputs, activation)
 
 
-def _waves(features: FourierFeatures | None) -> _Affine | None:
-    """Returns the map to the angles of the sines and again to those of the cosines."""
-    if features is None:
-        return None
-    weight, bias = features.frequencies, features.phases
-    return _Affine.of(np.concatenate([weight, weight]), np.concatenate([bias, bias]))
+def _angles(features: FourierFeatures | None) -> _Affine | None:
+    return None if features is None else _Affine.of(features.frequencies, features.phases)
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +157,7 @@ def _in_chunks(patches: Patches) -> Iterator[Patches]:
 
 
 def _model(network: _Network, patches: Patches, held: Sequence[float]) -> TaylorModel:
-    units, layers = _entering(network.features, TaylorModel.position(patches, held)), []
+    units, layers = _entering(network.angles, TaylorModel.position(patches, held)), []
     entry = units.remainder
     for affine in network.layers:
         units, layer = _activate(network.activation, *_mapped(affine, units))
@@ -171,12 +167,13 @@ def _model(network: _Network, patches: Patches, held: Sequence[float]) -> Taylor
     return TaylorModel(outputs.parts, carried + rounding + TINY)
 
 
-def _entering(waves: _Affine | None, inputs: TaylorModel) -> _Units:
+def _entering(angles: _Affine | None, inputs: TaylorModel) -> _Units:
     """Returns what the first layer sees."""
-    if waves is None:
+    if angles is None:
         return _Units.of(inputs)
-    d = waves.weight.shape[1]
-    units, _ = _activate(WAVES, *_mapped(waves, _Units.of(inputs.functions(slice(d)))))
+    d = angles.weight.shape[1]
+    found, rounding = _mapped(angles, _Units.of(inputs.functions(slice(d))))
+    units, _ = _activate(WAVES, found.joined(found), np.tile(rounding, 2))
     if d == inputs.remainder.shape[1]:
         return units
     passed = inputs.functions(slice(d, None))
@@ -243,10 +240,11 @@ def dual_network(
 
 def _dual(network: _Network, patches: Patches, held: Sequence[float]) -> DualModel:
     units = DualModel.position(patches, held)
-    if network.features is not None:
-        d = network.features.weight.shape[1]
-        angles = _affine(network.features, units.functions(slice(d)))
-        units = angles.apply(WAVES).joined(units.functions(slice(d, None)))
+    if network.angles is not None:
+        d = network.angles.weight.shape[1]
+        angles = _affine(network.angles, units.functions(slice(d)))
+        waves = angles.joined(angles).apply(WAVES)
+        units = waves.joined(units.functions(slice(d, None)))
     for affine in network.layers:
         units = _affine(affine, units).apply(network.activation)
     return _affine(network.outputs, units)
