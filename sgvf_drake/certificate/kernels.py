@@ -150,7 +150,7 @@ def product(
 def weighted_sum(
     parts: FloatArray, own_ranges: FloatArray, remainder: FloatArray, weights: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Returns the parts and remainders (n, 1) of sums of functions times weights, (n or 1, f)."""
+    """Returns the models (n, 1) of sums of functions times weights, (n or 1, f)."""
     n, rows, f = parts.shape
     step = min(len(weights) - 1, 1)
     found, rests = np.zeros((n, rows, 1)), np.empty((n, 1))

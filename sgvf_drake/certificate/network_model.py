@@ -144,9 +144,7 @@ def model_network(
         ConfigurationError: Nothing is known that bounds its activation.
     """
     prepared = _Network.of(network)
-    return TaylorModel.over_all(
-        [_model(prepared, some, held) for some in _in_chunks(patches)]
-    )
+    return TaylorModel.over_all([_model(prepared, some, held) for some in _in_chunks(patches)])
 
 
 def _in_chunks(patches: Patches) -> Iterator[Patches]:
@@ -194,7 +192,7 @@ def _mapped(affine: _Affine, units: _Units) -> tuple[TaylorModel, FloatArray]:
 def _activate(
     activation: Univariate, inputs: TaylorModel, rounding: FloatArray
 ) -> tuple[_Units, _Layer]:
-    """Returns the units of a layer in the place of their inputs, and what the way back needs."""
+    """Returns the units of a layer, in the place of its inputs, and what the way back needs."""
     about = np.ascontiguousarray(inputs.value)
     found = activation.expand(about, inputs.lower, inputs.upper)
     own, magnitude = inputs.bend(found, about, rounding)
@@ -233,9 +231,7 @@ def dual_network(
     prepared = _Network.of(network)
     if not isinstance(prepared.activation, Differentiable):
         raise ConfigurationError(f"{network.activation.name} has no derivative everywhere")
-    return DualModel.over_all(
-        [_dual(prepared, some, held) for some in _in_chunks(patches)]
-    )
+    return DualModel.over_all([_dual(prepared, some, held) for some in _in_chunks(patches)])
 
 
 def _dual(network: _Network, patches: Patches, held: Sequence[float]) -> DualModel:

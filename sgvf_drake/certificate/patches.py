@@ -1,4 +1,4 @@
-"""Patches of space, over which fields are bounded: segments, faces, squares, cubes, twisted ones."""
+"""Patches of space, over which fields are bounded: segments, faces, cubes, and twisted ones."""
 
 from dataclasses import dataclass
 

@@ -247,9 +247,7 @@ class TaylorModel:
         pairs = list(combinations_with_replacement(range(self.num_parameters), 2))
         inner = [row for row, (_, b) in enumerate(pairs) if b < k]
         outer = [row for row, (_, b) in enumerate(pairs) if b >= k]
-        parts = np.concatenate(
-            [self.parts[:, : 1 + k], self.quadratic[:, inner]], axis=1
-        )
+        parts = np.concatenate([self.parts[:, : 1 + k], self.quadratic[:, inner]], axis=1)
         parts[:, 2 + k : 1 + 2 * k] += self.slopes[:, k:]
         left = np.abs(self.quadratic[:, outer]).sum(axis=1)
         return _rounded(parts, self.remainder + left, self.magnitude)

@@ -1,4 +1,4 @@
-"""An audit in ball arithmetic of the models of fields: trained ones over squares, and all kinds.
+"""An audit in ball arithmetic of the models of fields, over squares and over all other patches.
 
 A few patches of it are among the tests.
 """
@@ -69,7 +69,10 @@ def fields_in(dim):
         yield "open", random_field("robust", dim=3, ends=2)
     g = np.random.default_rng(3).standard_normal(dim)
     for kind in KINDS:
-        yield f"directed, {kind}", field_of(kind, dim, ends=True).heading(0.9 * g / np.linalg.norm(g))
+        yield (
+            f"directed, {kind}",
+            field_of(kind, dim, ends=True).heading(0.9 * g / np.linalg.norm(g)),
+        )
 
 
 def audited_patches(kind):
