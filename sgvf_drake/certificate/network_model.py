@@ -229,12 +229,17 @@ def dual_network(
         ConfigurationError: Nothing bounds its activation, or it has no derivative.
     """
     prepared = _Network.of(network)
-    if not isinstance(prepared.activation, Differentiable):
+    activation = prepared.activation
+    if not isinstance(activation, Differentiable):
         raise ConfigurationError(f"{network.activation.name} has no derivative everywhere")
-    return DualModel.over_all([_dual(prepared, some, held) for some in _in_chunks(patches)])
+    return DualModel.over_all(
+        [_dual(prepared, activation, some, held) for some in _in_chunks(patches)]
+    )
 
 
-def _dual(network: _Network, patches: Patches, held: Sequence[float]) -> DualModel:
+def _dual(
+    network: _Network, activation: Differentiable, patches: Patches, held: Sequence[float]
+) -> DualModel:
     units = DualModel.position(patches, held)
     if network.angles is not None:
         d = network.angles.weight.shape[1]
@@ -242,7 +247,7 @@ def _dual(network: _Network, patches: Patches, held: Sequence[float]) -> DualMod
         waves = angles.joined(angles).apply(WAVES)
         units = waves.joined(units.functions(slice(d, None)))
     for affine in network.layers:
-        units = _affine(affine, units).apply(network.activation)
+        units = _affine(affine, units).apply(activation)
     return _affine(network.outputs, units)
 
 
