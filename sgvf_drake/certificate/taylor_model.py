@@ -242,14 +242,26 @@ class TaylorModel:
         )
 
     def twisted(self) -> "TaylorModel":
-        """Returns models over twisted patches, from those over `Patches.untwisted`."""
+        """Returns models over twisted patches, from those over `Patches.untwisted`.
+
+        Of what is of the third order or higher, u^2 is between 0 and 1, and so 1/2 of it is
+        left at most.
+        """
         k = (self.num_parameters + 1) // 2
         pairs = list(combinations_with_replacement(range(self.num_parameters), 2))
         inner = [row for row, (_, b) in enumerate(pairs) if b < k]
-        outer = [row for row, (_, b) in enumerate(pairs) if b >= k]
         parts = np.concatenate([self.parts[:, : 1 + k], self.quadratic[:, inner]], axis=1)
         parts[:, 2 + k : 1 + 2 * k] += self.slopes[:, k:]
-        left = np.abs(self.quadratic[:, outer]).sum(axis=1)
+        left = np.zeros_like(self.remainder)
+        for row, (a, b) in enumerate(pairs):
+            if b < k:
+                continue
+            # The second is u_0 u_j, and the row to which half of the product goes.
+            j, factor = b - k + 1, self.quadratic[:, row]
+            to = {b: 0, 0: 1 + j, j: 1}.get(a)
+            if to is not None:
+                parts[:, to] += factor / 2
+            left += np.abs(factor) if to is None else np.abs(factor) / 2
         return _rounded(parts, self.remainder + left, self.magnitude)
 
     def at_end(self, parameter: int, side: int) -> "TaylorModel":
