@@ -71,18 +71,21 @@ class Parts:
 
     @property
     def patches(self) -> Patches:
-        """Patches of all F(t, s), with the parameters t, s_1, ..."""
+        """Patches that hold all F(t, s).
+
+        Their parameters are t, s_1, ... and the products t s_1, ..., as if these could be
+        anything from -1 to 1.
+        """
         middle, half = self._middle_and_half
-        axes = np.concatenate([half[:, :1], middle[:, 1:]], axis=1)
-        twists = np.swapaxes(half[:, 1:], 1, 2)
-        return Patches(middle[:, 0], np.swapaxes(axes, 1, 2), twists)
+        axes = np.concatenate([half[:, :1], middle[:, 1:], half[:, 1:]], axis=1)
+        return Patches(middle[:, 0], np.swapaxes(axes, 1, 2))
 
     @property
     def columns(self) -> list[TaylorModel]:
         """The models of T, S_1, ... over the patches."""
         middle, half = self._middle_and_half
         n, rows, dim = middle.shape
-        slopes = np.zeros((rows, n, dim, rows))
+        slopes = np.zeros((rows, n, dim, 2 * rows - 1))
         slopes[0, :, :, 1:rows] = np.swapaxes(half[:, 1:], 1, 2)
         slopes[1:, :, :, 0] = np.swapaxes(half[:, 1:], 0, 1)
         values = [half[:, 0], *np.swapaxes(middle[:, 1:], 0, 1)]
@@ -99,7 +102,7 @@ class Parts:
         right angle has infinite ones.
         """
         patches, dim = self.patches, self.start.shape[2]
-        axes, products = patches.axes, np.swapaxes(self._middle_and_half[1][:, 1:], 1, 2)
+        axes, products = patches.axes[:, :, :dim], patches.axes[:, :, dim:]
         length = np.linalg.norm(axes, axis=1)
         directions = axes / length[:, None]
         upright = np.linalg.cond(directions) < SKEWED
