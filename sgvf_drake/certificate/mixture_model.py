@@ -71,9 +71,7 @@ class MixtureModel:
         """Returns the models (n, 1) of V, from those of its gradient.
 
         V(c + A u) - V(c) is the integral of grad V(c + t A u) . A u over t from 0 to 1.
-        Patches are not twisted.
         """
-        assert patches.twists is None
         low, high = self.level_range(Boxes.points(patches.centers))
         parts = np.empty((*gradient.parts.shape[:2], 1))
         parts[:, 0, 0] = (low + high) / 2
@@ -153,15 +151,13 @@ class Components:
     def _means(self, patches: Patches, *, products: bool) -> TaylorModel:
         """Returns the models of the means, as of `kernels.tilted_means`."""
         waypoints = (self.points, self.exponents, self.pulls, self.sigma)
-        straight = patches.untwisted
-        means = TaylorModel(
-            *kernels.tilted_means(straight.centers, straight.axes, *waypoints, products)
+        return TaylorModel(
+            *kernels.tilted_means(patches.centers, patches.axes, *waypoints, products)
         )
-        return means if patches.twists is None else means.twisted()
 
     def _score(self, patches: Patches, means: TaylorModel) -> TaylorModel:
         """Returns the score and the pulls, of the means of x_i - c and of the pulls."""
-        nowhere = replace(patches, centers=np.zeros_like(patches.centers))
+        nowhere = Patches(np.zeros_like(patches.centers), patches.axes)
         step = TaylorModel.position(nowhere, (0.0,) * self.pulls.shape[1])
         return (means - step).scaled(self._factors)
 

@@ -17,7 +17,6 @@ coordinates of the space, which a patch may have more of than parameters.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations_with_replacement
 from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
@@ -89,8 +88,6 @@ class TaylorModel:
         parts = np.zeros((n, 1 + k + k * (k + 1) // 2, d + len(held)))
         parts[:, 0, :d], parts[:, 0, d:] = patches.centers, held
         parts[:, 1 : 1 + k, :d] = np.swapaxes(patches.axes, 1, 2)
-        if patches.twists is not None:
-            parts[:, 2 + k : 1 + 2 * k, :d] = np.swapaxes(patches.twists, 1, 2)
         return cls(parts, np.zeros((n, d + len(held))))
 
     @classmethod
@@ -241,33 +238,10 @@ class TaylorModel:
             self.parts, self._ranges, self.remainder, rounding, *expansion
         )
 
-    def twisted(self) -> "TaylorModel":
-        """Returns models over twisted patches, from those over `Patches.untwisted`.
-
-        Of what is of the third order or higher, u^2 is between 0 and 1, and so 1/2 of it is
-        left at most.
-        """
-        k = (self.num_parameters + 1) // 2
-        pairs = list(combinations_with_replacement(range(self.num_parameters), 2))
-        inner = [row for row, (_, b) in enumerate(pairs) if b < k]
-        parts = np.concatenate([self.parts[:, : 1 + k], self.quadratic[:, inner]], axis=1)
-        parts[:, 2 + k : 1 + 2 * k] += self.slopes[:, k:]
-        left = np.zeros_like(self.remainder)
-        for row, (a, b) in enumerate(pairs):
-            if b < k:
-                continue
-            # The second is u_0 u_j, and the row to which half of the product goes.
-            j, factor = b - k + 1, self.quadratic[:, row]
-            to = {b: 0, 0: 1 + j, j: 1}.get(a)
-            if to is not None:
-                parts[:, to] += factor / 2
-            left += np.abs(factor) if to is None else np.abs(factor) / 2
-        return _rounded(parts, self.remainder + left, self.magnitude)
-
     def at_end(self, parameter: int, side: int) -> "TaylorModel":
         """Returns the models over the faces of patches where a parameter is 1 or -1."""
         k = self.num_parameters
-        pairs = list(combinations_with_replacement(range(k), 2))
+        pairs = [(a, b) for a in range(k) for b in range(a, k)]
         parts, kept = self.parts.copy(), [0]
         for row, pair in enumerate(pairs, start=1 + k):
             match pair.count(parameter):

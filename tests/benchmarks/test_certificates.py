@@ -27,18 +27,17 @@ AUDITED = (
     ("separated-circles", "paper", 0.7),
 )
 SQUARES = 40
-# Patches of each kind and size of each field: dimension of space, parameters, and whether they
-# are twisted; and their largest half-sides.
+# Patches of each kind and size of each field: the dimension of space, and parameters; and the
+# largest half-sides.
 PATCHES = 4
 KINDS_OF_PATCHES = {
-    "segments": (2, 1, False),
-    "turned squares": (2, 2, False),
-    "cells": (2, 2, True),
-    "segments in space": (3, 1, False),
-    "faces in space": (3, 2, False),
-    "walls in space": (3, 2, True),
-    "cubes": (3, 3, False),
-    "cells in space": (3, 3, True),
+    "segments": (2, 1),
+    "turned squares": (2, 2),
+    "cells": (2, 3),
+    "segments in space": (3, 1),
+    "faces in space": (3, 2),
+    "cubes": (3, 3),
+    "cells in space": (3, 5),
 }
 HALVES = (2.0**-5, 2.0**-9, 2.0**-13)
 # What the audit tells of a model, and how that is put together over the fields.
@@ -76,11 +75,11 @@ def fields_in(dim):
 
 
 def audited_patches(kind):
-    dim, k, twisted = KINDS_OF_PATCHES[kind]
+    dim, k = KINDS_OF_PATCHES[kind]
     for name, field in fields_in(dim):
         rng = np.random.default_rng(0)
         for half in HALVES:
-            patches = random_patches(field, half, k, PATCHES, rng, twisted=twisted)
+            patches = random_patches(field, half, k, PATCHES, rng)
             for of, found in audit(field, None, patches, rng).items():
                 values = dict(zip(FOUND, found, strict=True))
                 yield {"patches": kind, "field": name, "of": of} | values

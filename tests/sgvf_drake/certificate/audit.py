@@ -16,7 +16,6 @@ from sgvf_drake.certificate.field_model import (
     model_field,
 )
 from sgvf_drake.certificate.patches import Patches
-from sgvf_drake.certificate.taylor_model import TaylorModel
 
 from .ball_fields import BallField
 from .balls import corners, dot, mixture_at, model_at, point_of
@@ -26,11 +25,11 @@ from .balls import corners, dot, mixture_at, model_at, point_of
 ON_A_SIDE, INSIDE, TRIED = 4, 4, 200
 
 
-def random_patches(field, half, k, count, rng, *, twisted=False):
+def random_patches(field, half, k, count, rng):
     """Turned patches of k parameters: half of them anywhere, half about the path.
 
-    Every other one lies along the axes, in the plane with two parameters a square of a
-    grid.  All are `twisted`, if that is asked for, by up to a half of their sides.
+    Of those in the plane with two parameters every other one is a square of a grid.  More
+    parameters than there are coordinates go anywhere, and less far, as the products of cells do.
     """
     d = field.dim
     anywhere = rng.uniform(-5, 5, (count - count // 2, d))
@@ -39,11 +38,10 @@ def random_patches(field, half, k, count, rng, *, twisted=False):
     about = about + 0.1 * rng.standard_normal(about.shape)
     centers = 2 * half * (np.floor(np.concatenate([anywhere, about]) / (2 * half)) + 0.5)
     axes = half * np.linalg.qr(rng.standard_normal((count, d, d)))[0][:, :, :k]
-    axes *= rng.uniform(0.1, 1, (count, 1, k))
-    axes[::2] = half * np.eye(d, k)
-    if not twisted:
-        return Patches(centers, axes)
-    return Patches(centers, axes, half * rng.uniform(-0.5, 0.5, (count, d, k - 1)))
+    axes *= rng.uniform(0.1, 1, (count, 1, min(k, d)))
+    axes[::2] = half * np.eye(d, k)[:, :d]
+    products = 0.3 * half * rng.uniform(-1, 1, (count, d, max(k - d, 0)))
+    return Patches(centers, np.concatenate([axes, products], axis=2))
 
 
 def models_of(field, levels, patches):
@@ -90,7 +88,7 @@ def adverse_parameters(field, patches, model, row, rng):
         [-1, 1], ON_A_SIDE
     )
     tried = rng.uniform(-1, 1, (TRIED, k))
-    z = polynomial(TaylorModel.position(patches), row, tried)
+    z = patches.centers[row] + tried @ patches.axes[row].T
     m = field(field.cloud.denormalize(z))
     worst = np.abs(m - polynomial(model, row, tried)).argmax(axis=0)
     inside = rng.uniform(-1, 1, (INSIDE, k))

@@ -207,10 +207,8 @@ def model_at(model, row, column, u):
 
 
 def point_of(patches, u, row=0):
-    """The point of a patch at parameters u, as balls."""
-    patches, u = patches.untwisted, vector(u)
-    u += [u[0] * other for other in u[1:]][: patches.axes.shape[2] - len(u)]
-    steps = [dot(vector(line), u) for line in patches.axes[row]]
+    """The point c + A u of a patch, as balls."""
+    steps = [dot(vector(line), vector(u)) for line in patches.axes[row]]
     return [c + step for c, step in zip(vector(patches.centers[row]), steps, strict=True)]
 
 

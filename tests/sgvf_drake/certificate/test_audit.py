@@ -27,9 +27,9 @@ def levels_of(field):
     return MixtureModel(mixture, lowest_of(mixture))
 
 
-def assert_passes(field, levels, k, rng, count=2, *, twisted=False):
+def assert_passes(field, levels, k, rng, count=2):
     for half in HALVES:
-        patches = random_patches(field, half, k, count, rng, twisted=twisted)
+        patches = random_patches(field, half, k, count, rng)
         for number, violations, largest in audit(field, levels, patches, rng).values():
             assert number >= count * FEW_POINTS**k
             assert violations == 0
@@ -51,13 +51,6 @@ def test_a_directed_field_that_is_held_passes(kind, dim, k):
     g = rng.standard_normal(dim)
     field = field_of(kind, dim, ends=dim == 3).heading(0.9 * g / np.linalg.norm(g))
     assert_passes(field, None, k, rng)
-
-
-@pytest.mark.parametrize(("dim", "k"), [(2, 2), (3, 2), (3, 3)])
-@pytest.mark.parametrize("recipe", RECIPES)
-def test_a_field_over_twisted_patches_passes(make_field, recipe, dim, k):
-    field = make_field(recipe, dim=dim, ends=1)
-    assert_passes(field, None, k, np.random.default_rng(5), twisted=True)
 
 
 @pytest.mark.full
