@@ -181,7 +181,9 @@ def _entering(angles: _Affine | None, inputs: TaylorModel) -> _Units:
 def _mapped(affine: _Affine, units: _Units) -> tuple[TaylorModel, FloatArray]:
     """Returns the models of weight units + bias, and what their own rounding is at most."""
     n, rows, inputs = units.parts.shape
-    parts = (units.parts.reshape(-1, inputs) @ affine.across).reshape(n, rows, -1)
+    parts = (units.parts.reshape(-1, inputs) @ affine.across).reshape(
+        n, rows, affine.across.shape[1]
+    )
     remainder = units.remainder @ affine.size
     rounding = kernels.shift_layer(
         parts, remainder, units.largest, affine.bias, affine.sizes, affine.gamma
