@@ -212,7 +212,7 @@ def _carried(network: _Network, layers: list[_Layer], entry: FloatArray) -> Floa
     for layer, affine in zip(reversed(layers), reversed(network.layers), strict=True):
         kernels.carry_back(backward, size, gamma, layer.slope, layer.own, total)
         flat = backward.reshape(-1, backward.shape[2])
-        backward = (flat @ affine.weight).reshape(n, len(last), -1)
+        backward = (flat @ affine.weight).reshape(n, len(last), affine.weight.shape[1])
         size = (size * np.abs(layer.slope).max(axis=0, initial=0.0)) @ affine.size.T
         gamma += 2 * (len(affine.weight) + 4) * UNIT
     kernels.carry_back(backward, size, gamma, np.ones_like(entry), entry, total)
