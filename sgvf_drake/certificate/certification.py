@@ -82,9 +82,19 @@ def certify(
 
 
 def check(
-    certificate: Certificate, field: GuidingField, reference: ReferencePath | None = None
+    certificate: Certificate,
+    field: GuidingField,
+    reference: ReferencePath | None = None,
+    *,
+    progress: Progress = no_progress,
 ) -> Certificate:
     """Proves a certificate anew from what it holds, without a search.
+
+    Args:
+        certificate: What is claimed.
+        field: The field.
+        reference: As of `certify`.
+        progress: Told how far it is.
 
     Returns:
         What was proved; it is certified where it is as strong as what was claimed.
@@ -99,21 +109,33 @@ def check(
         raise ConfigurationError("the certificate certifies nothing")
     check_rounding()
     reference = field.path if reference is None else reference
-    known, prove = _claimed(certificate, field)
+    known, prove = _claimed(certificate, field, len(reference.pieces), progress)
     with threadpool_limits(**ONE_THREAD):
         found = prove_by_tubes(field, reference, known, prove)
         if certificate.levels is not None:
+            progress("levels", 0, 1)
             proof = prove_levels(field, certificate.levels.conditions, reference)
             found = _with_levels(found, proof)
+            progress("levels", 1, 1)
     if not found.is_as_strong_as(certificate):
         return found.refused("what is claimed is not what is proved")
     return found
 
 
-def _claimed(certificate: Certificate, field: GuidingField) -> tuple[ProposeTube, ProveBasin]:
-    """Returns what gives the tubes, the walls and the cells of a certificate, proved."""
+def _claimed(
+    certificate: Certificate, field: GuidingField, count: int, progress: Progress
+) -> tuple[ProposeTube, ProveBasin]:
+    """Returns what gives the tubes, the walls and the cells of a certificate, proved.
+
+    Args:
+        certificate: The certificate.
+        field: The field.
+        count: The number of pieces.
+        progress: As of `certify`.
+    """
 
     def known(piece: int, _: FloatArray) -> FoundTube | None:
+        progress("tubes and walls", piece, count)
         if piece >= min(len(certificate.tubes), len(certificate.walls)):
             return None
         tube, walls = certificate.tubes[piece], certificate.walls[piece]
@@ -126,9 +148,13 @@ def _claimed(certificate: Certificate, field: GuidingField) -> tuple[ProposeTube
         return FoundTube(tube, proof, walls if found.proved == len(walls) else None, found)
 
     def prove(walls: Sequence[Walls]) -> Basin | None:
+        progress("tubes and walls", count, count)
         if certificate.cells is None or not walls:
             return None
-        return prove_basin(field, Cells.of(certificate.cells), walls, certificate.fences)
+        progress("cells", 0, 1)
+        basin = prove_basin(field, Cells.of(certificate.cells), walls, certificate.fences)
+        progress("cells", 1, 1)
+        return basin
 
     return known, prove
 

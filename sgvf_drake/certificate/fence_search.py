@@ -96,7 +96,6 @@ def _around_saddle(field: BoundedField, saddle: FloatArray, come: FloatArray) ->
 
 def _backwards(rate: Rate, saddle: FloatArray, way: FloatArray) -> FloatArray:
     """Returns points (n, 2) from a saddle back along its stable manifold, on one way."""
-
     start = saddle + STEP * way
     slow = np.linalg.norm(rate(0.0, start)) / 2
 

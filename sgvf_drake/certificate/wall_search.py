@@ -14,7 +14,7 @@ from scipy.sparse.linalg import spsolve
 
 from sgvf_drake.arrays import FloatArray
 from sgvf_drake.certificate.field_model import BoundedField
-from sgvf_drake.certificate.trajectories import Orbit, closed_orbit
+from sgvf_drake.certificate.trajectories import ROUGH, Orbit, closed_orbit
 from sgvf_drake.certificate.walls import Walls
 from sgvf_drake.paths import Piece, ReferencePath
 
@@ -92,7 +92,7 @@ def _turned_orbit(
     Where legs of a tip run side by side, it may not be seen where an orbit closes.
     """
     for start in points[:: len(points) // STARTS][:STARTS]:
-        found = closed_orbit(field, start, duration, turn=turn)
+        found = closed_orbit(field, start, duration, turn=turn, precision=ROUGH)
         if found is not None:
             return found
     return None

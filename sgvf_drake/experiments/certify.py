@@ -56,7 +56,7 @@ def run_certify(
 
     def prove() -> Certificate:
         if claimed is not None:
-            return check(claimed, field, path)
+            return check(claimed, field, path, progress=progress)
         return certify(field, path, levels=levels, progress=progress)
 
     def told(found: Certificate) -> dict[str, Any]:
