@@ -36,7 +36,8 @@ void jacobians(int n, const double *x, const double *g, double *J)
     for (int i = 0; i < n; ++i)
         FUNCTION(field_jacobian)(x + i * DIM G, J + i * DIM * DIM);
 }
-void products(int n, const double *x, const double *g, const double *v, const double *w, double *jv)
+void products(int n, const double *x, const double *g, const double *v, const double *w,
+              double *jv)
 {
     (void)g, (void)w;
     for (int i = 0; i < n; ++i)
@@ -99,7 +100,7 @@ class CField:
         self.directed = isinstance(field, DirectedField)
         self.summary = export_c(field, folder, precision, **options)
         (self.folder / "loops.c").write_text(LOOPS)
-        sources = ("field.c", "laws.c", "loops.c")
+        sources = ("field.c", "loops.c")
         arguments = (optimisation, "-shared", "-fPIC", *sources, "-lm", "-o", "field.so")
         compile_c(folder, *arguments, command=command)
         self.library = ctypes.CDLL(str(self.folder / "field.so"))

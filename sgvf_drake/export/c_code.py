@@ -1,6 +1,7 @@
 """A field as C99 that needs nothing but libm: code, header, and a test of both."""
 
 from collections.abc import Sequence
+from functools import cache
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -54,8 +55,8 @@ def export_c(
         )
     if not isinstance(field, ComposedField | DirectedField):
         raise ConfigurationError(
-            f"a {type(field).__name__} cannot be exported; a field that was trained or imported "
-            "can"
+            f"a {type(field).__name__} cannot be exported, only a field that was trained or "
+            "imported"
         )
     files, summary = _render(field, precision, routes)
     folder = Path(folder)
@@ -108,20 +109,10 @@ def _render(
         "tolerance": literal(TOLERANCES[precision]),
         "walks": [walk for walk, _ in walks],
     }
-    # Imported here: it takes its time, and the command line knows of this module.
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(
-        loader=PackageLoader("sgvf_drake.export"),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
     files = {}
     for name in C_FILES:
         parts = of_test if name == "field_test.c" else {"arrays": code.arrays}
-        files[name] = environment.get_template(f"{name}.j2").render(**constants, **parts)
+        files[name] = _templates().get_template(f"{name}.j2").render(**constants, **parts)
     summary = {
         "digest": digest,
         "dim": field.dim,
@@ -133,6 +124,20 @@ def _render(
         "routes": [constants["edges"] for constants, _ in told],
     }
     return files, summary
+
+
+@cache
+def _templates() -> Any:
+    # Imported here: it takes its time, and the command line knows of this module.
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    return Environment(
+        loader=PackageLoader("sgvf_drake.export"),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
 
 
 def _frame(field: ComposedField | DirectedField) -> str:

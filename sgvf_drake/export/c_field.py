@@ -164,7 +164,8 @@ class FieldCode:
         }
 
     def _network(self, name: str, network: Perceptron) -> dict[str, Any]:
-        features, layers = network.features, []
+        features, layers, buffers = network.features, [], ("first", "second")
+        reads_features = features is not None
         for number, (W, b) in enumerate(zip(network.weights, network.biases, strict=True)):
             type = storage_type(self.precision, [W, b])
             self._add(f"{name}_weights_{number + 1}", W.T, type)
@@ -174,10 +175,12 @@ class FieldCode:
                     "type": type,
                     "inputs": W.shape[1],
                     "outputs": W.shape[0],
-                    "source": ("first", "second")[number % 2],
-                    "target": ("second", "first")[number % 2],
+                    "apart": "WIDTH" if reads_features or number else "INPUTS",
+                    "source": buffers[number % 2] if reads_features or number else "in",
+                    "target": buffers[1 - number % 2],
                 }
             )
+        used = {layer[end] for layer in layers for end in ("source", "target")} - {"in"}
         told = None
         if features is not None:
             arrays = [features.frequencies, features.phases]
@@ -190,6 +193,7 @@ class FieldCode:
             "name": name,
             "features": told,
             "layers": layers,
+            "buffers": sorted(f"{name}[ROWS * WIDTH]" for name in used),
             "outputs": len(network.biases[-1]),
             "activation": network.activation.name,
         }
