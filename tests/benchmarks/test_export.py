@@ -17,13 +17,12 @@ from sgvf_drake.fields import (
     DirectedField,
     NormalisedComposition,
     PaperComposition,
-    Perceptron,
     RobustComposition,
     ScoreNetwork,
 )
 from sgvf_drake.fields.activation import ACTIVATIONS, SILU
 from tests.c_code import STRICT, CField
-from tests.fields import random_field, random_perceptron
+from tests.fields import random_field
 from tests.sgvf_drake.fields.test_directed import KINDS, field_of
 
 pytestmark = pytest.mark.benchmark
@@ -32,45 +31,27 @@ POINTS = 20_000
 FAR = 10.0
 """Of boxes, as far as points lie."""
 
-SIGMA = 0.1
+SIGMA, GAIN = 0.1, 0.2
 COMPOSITIONS = {
-    "paper": PaperComposition(0.2),
-    "normalised": NormalisedComposition(0.2),
-    "robust": RobustComposition(0.2, SIGMA),
-    "unprojected": RobustComposition(0.2, SIGMA, projects=False),
+    "paper": PaperComposition(GAIN),
+    "normalised": NormalisedComposition(GAIN),
+    "robust": RobustComposition(GAIN, SIGMA),
+    "unprojected": RobustComposition(GAIN, SIGMA, projects=False),
 }
 TIMED = 1_000
-
-
-def as_trained(network):
-    """A network whose numbers are those of float32, as training leaves them."""
-    features = network.features
-    if features is not None:
-        frequencies, phases = (
-            np.float64(np.float32(a)) for a in (features.frequencies, features.phases)
-        )
-        features = replace(features, frequencies=frequencies, phases=phases)
-    weights, biases = (
-        tuple(np.float64(np.float32(a)) for a in arrays)
-        for arrays in (network.weights, network.biases)
-    )
-    return Perceptron(weights, biases, features, network.activation)
+"""Points of which the time is taken."""
 
 
 def learned(composition, activation, dim, recipe="robust", ends=0):
-    """A field of networks of two hidden layers of 64."""
-    field = random_field(recipe, dim, sigma=SIGMA, ends=ends)
-    rng = np.random.default_rng(1)
-    make = partial(random_perceptron, rng, hidden=(64, 64), outputs=dim, num_frequencies=32)
-    score, tangent = (
-        replace(as_trained(make(inputs=inputs)), activation=activation)
-        for inputs in (dim + 1, dim)
-    )
-    model = field.score_model if recipe == "exact" else ScoreNetwork(score, SIGMA)
+    """A field of random networks."""
+    field = random_field(recipe, dim, sigma=SIGMA, gain=GAIN, ends=ends)
+    score = field.score_model
+    if isinstance(score, ScoreNetwork):
+        score = replace(score, network=replace(score.network, activation=activation))
     return replace(
         field,
-        score_model=model,
-        tangent_network=tangent,
+        score_model=score,
+        tangent_network=replace(field.tangent_network, activation=activation),
         composition=COMPOSITIONS[composition],
     )
 
@@ -112,46 +93,80 @@ def microseconds(function, count):
     return 1e6 * min(timeit.repeat(function, number=1, repeat=5)) / count
 
 
-def test_errors_and_times(save, tmp_path):
+def directions_for(field, x):
+    """Unit vectors where a field takes an intended direction, in a list of one; else none."""
+    if not isinstance(field, DirectedField):
+        return []
+    g = np.random.default_rng(6).standard_normal(x.shape)
+    return [g / np.linalg.norm(g, axis=1, keepdims=True)]
+
+
+def test_errors(save, tmp_path):
     rows = []
-    for (kind, composition, activation, dim), field in fields():
+    for number, (names, field) in enumerate(fields()):
         x = points_of(field)
-        g = np.random.default_rng(6).standard_normal(x.shape)
-        g = [g / np.linalg.norm(g, axis=1, keepdims=True)]
-        if not isinstance(field, DirectedField):
-            g = []
+        g = directions_for(field, x)
         m, J = field.value_and_jacobian(x, *g)
-        few, few_g = x[:TIMED], [one[:TIMED] for one in g]
-        shown = {"kind": kind, "composition": composition, "activation": activation}
-        python = {
-            "numpy_J_us": microseconds(lambda: field.value_and_jacobian(few, *few_g), TIMED),
-        }
-        if not g:
-            one = field.compiled().evaluate
-            python["numba_J_us"] = microseconds(lambda: [one(p) for p in few], TIMED)
+        options = {"routes": ()} if g else {}
         for precision in PRECISIONS:
-            folder = tmp_path / "field"
-            shutil.rmtree(folder, ignore_errors=True)
-            code = CField(field, folder, precision, "-O3", **({"routes": ()} if g else {}))
-            subprocess.run(["gcc", "-O3", "-c", "field.c"], cwd=folder, check=True)
-            size = subprocess.check_output(["size", "field.o"], cwd=folder, text=True)
-            row = shown | {
-                "dim": dim,
+            folder = tmp_path / f"{number}-{precision}"
+            code = CField(field, folder, precision, "-O2", **options)
+            row = {
+                **dict(zip(("kind", "composition", "activation", "dim"), names, strict=True)),
                 "precision": precision,
                 "value": errors(code(x, *g), m),
                 "jacobian": errors(code.jacobian(x, *g), J),
+            }
+            rows.append(row)
+            limit = 1e-3 if precision == "float" else 1e-11
+            assert max(row["value"], row["jacobian"]) < limit, row
+    table = save(rows, "export_errors")
+    worst = table.groupby(["kind", "composition", "dim", "precision"])
+    save(worst.max(numeric_only=True).reset_index(), "export_by_composition")
+
+
+def test_what_trained_fields_cost(
+    save, tmp_path, tee_field, robust_field, paper_field, exact_field
+):
+    """Of one point, by gcc; NumPy takes all of them as a batch, and one by one."""
+    kinds = {"robust": robust_field, "paper": paper_field, "exact": exact_field}
+    rows = []
+    for kind, field in {**kinds, "directed": tee_field}.items():
+        x = np.random.default_rng(7).uniform(*field.cloud.box, (TIMED, field.dim))
+        g = directions_for(field, x)
+        few = [points[:20] for points in (x, *g)]
+        python = {
+            "NumPy batch": microseconds(partial(field.value_and_jacobian, x, *g), TIMED),
+            "NumPy one": microseconds(
+                partial(all_of, field.value_and_jacobian, *few), len(few[0])
+            ),
+        }
+        if not g:
+            python["numba"] = microseconds(partial(all_of, field.compiled().evaluate, x), TIMED)
+        for precision, optimisation in product(PRECISIONS, ("-Os", "-O2", "-O3")):
+            folder = tmp_path / f"{kind}-{precision}{optimisation}"
+            code = CField(field, folder, precision, optimisation)
+            command = ["gcc", optimisation, "-c", "field.c"]
+            subprocess.run(command, cwd=folder, check=True)
+            size = subprocess.check_output(["size", "field.o"], cwd=folder, text=True)
+            row = {
+                "field": kind,
+                "precision": precision,
+                "gcc": optimisation,
                 "object_kB": sum(map(int, size.splitlines()[1].split()[:2])) / 1000,
-                "C_us": microseconds(partial(code, few, *few_g), TIMED),
-                "C_J_us": microseconds(partial(code.jacobian, few, *few_g), TIMED),
+                "value_us": microseconds(partial(code, x, *g), TIMED),
+                "product_us": microseconds(partial(code.product, x, x, *g), TIMED),
+                "jacobian_us": microseconds(partial(code.jacobian, x, *g), TIMED),
                 **python,
             }
             rows.append(row)
-            shutil.move(folder, tmp_path / f"{len(rows)}")
-            limit = 1e-3 if precision == "float" else 1e-11
-            assert max(row["value"], row["jacobian"]) < limit, row
-    table = save(rows, "export")
-    worst = table.groupby(["kind", "composition", "dim", "precision"])
-    save(worst.max(numeric_only=True).reset_index(), "export_by_composition")
+    save(rows, "export_costs")
+
+
+def all_of(function, *points):
+    """Calls a function of a point for each."""
+    for one in zip(*points, strict=True):
+        function(*one)
 
 
 COMPILERS = {
