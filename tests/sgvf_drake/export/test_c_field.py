@@ -99,9 +99,13 @@ def assert_same(code, field, x, tolerance):
     assert_near(code.product(x, v), by_rows, tolerance / 20)
 
 
-@pytest.mark.parametrize("case", cases(), ids=str)
-@pytest.mark.parametrize("precision", ["mixed", "float"])
-def test_every_field(case, precision, tmp_path):
+@pytest.mark.parametrize(
+    ("precision", "case"),
+    # Double is what mixed is, bit for bit, as another test says.
+    [*product(["mixed"], cases()), *product(["float"], cases()[::3])],
+    ids=str,
+)
+def test_every_field(precision, case, tmp_path):
     field = case.make()
     assert_same(CField(field, tmp_path, precision), field, queries(field), TOLERANCE[precision])
 
