@@ -13,7 +13,7 @@ from sgvf_drake.arrays import FloatArray
 PRECISIONS = ("mixed", "double", "float")
 """Mixed: stored as float where nothing is lost by it, and computed in double."""
 
-BYTES = {"double": 8, "float": 4, "unsigned char": 1, "long": 8}
+BYTES = {"double": 8, "float": 4, "unsigned char": 1}
 LINE_LENGTH = 100
 
 

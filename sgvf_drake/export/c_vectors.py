@@ -26,7 +26,7 @@ second, a standard deviation."""
 MAX_STEPS = 1000
 
 
-def test_points(field: ComposedField | DirectedField) -> FloatArray:
+def points_for(field: ComposedField | DirectedField) -> FloatArray:
     """Returns points (n, d): over the box, beside waypoints and on them, far away, at ends."""
     rng, cloud = np.random.default_rng(SEED), field.cloud
     low, high = cloud.box
@@ -40,7 +40,7 @@ def test_points(field: ComposedField | DirectedField) -> FloatArray:
 
 def vectors_of(field: ComposedField | DirectedField) -> list[CArray]:
     """Returns the arrays of a comparison, by the names of the template."""
-    x = test_points(field)
+    x = points_for(field)
     rng = np.random.default_rng(SEED + 1)
     v = rng.standard_normal(x.shape)
     if not isinstance(field, DirectedField):
