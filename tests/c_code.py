@@ -87,7 +87,7 @@ class CField:
 
     Args:
         field: The field.
-        folder: Where its code goes; made anew.
+        folder: Where its code goes; one that has held none, since a library is loaded once.
         precision: As of `export_c`; and its other options.
         optimisation: Of the compiler.
         command: The compiler; gcc by default.
@@ -98,6 +98,7 @@ class CField:
     ):
         self.folder, self.dim = Path(folder), field.dim
         self.directed = isinstance(field, DirectedField)
+        assert not self.folder.joinpath("field.so").exists()
         self.summary = export_c(field, folder, precision, **options)
         (self.folder / "loops.c").write_text(LOOPS)
         sources = ("field.c", "loops.c")

@@ -117,7 +117,7 @@ def test_every_field(precision, case, tmp_path):
 def test_every_combination(composition, activation, precision, tmp_path):
     for dim in (2, 3):
         field = Case("robust", composition, dim, 0, activation, activation).make()
-        code = CField(field, tmp_path, precision, overwrite=True)
+        code = CField(field, tmp_path / str(dim), precision)
         assert_same(code, field, queries(field), TOLERANCE[precision])
 
 
@@ -216,9 +216,9 @@ def test_numbers_are_written_as_they_are(name, request, tmp_path):
 
 def test_what_is_not_a_number_stays_none(robust_field, exact_field, tmp_path):
     x = np.array([[np.nan, 0.0], [0.0, np.nan], [np.inf, 0.0]])
-    for field in (robust_field, exact_field):
+    for number, field in enumerate((robust_field, exact_field)):
         for precision in ("mixed", "float"):
-            code = CField(field, tmp_path, precision, overwrite=True)
+            code = CField(field, tmp_path / f"{precision}{number}", precision)
             assert np.isnan(code(x)).all()
             assert np.isnan(code.jacobian(x)).all()
 
