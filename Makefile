@@ -25,17 +25,17 @@ export MPLBACKEND ?= Agg
 # Material for MkDocs advertises its successor at every build.
 export NO_MKDOCS_2_WARNING := 1
 
-.PHONY: demo test test-full test-data browser check docs format wheel clean
+.PHONY: demo test test-full test-data browser compiler check docs format wheel clean
 .PHONY: bench bench-learning bench-paths bench-networks
 
 demo: $(VENV)/.run-time
 	$(BIN)/sgvf demo --out demo --overwrite
 
-test: $(VENV)/.development browser
+test: $(VENV)/.development browser compiler
 	$(TEST) -m "not benchmark and not full"
 
 # With what takes long: run it before an issue is called done.
-test-full: $(VENV)/.development browser
+test-full: $(VENV)/.development browser compiler
 	$(TEST) -m "not benchmark"
 
 # Trains the fields anew that the tests read: for a recipe that has changed on purpose.
@@ -46,6 +46,11 @@ test-data: $(VENV)/.development
 browser:
 	command -v chromium >/dev/null || $(AS_ROOT) sh -c "apt-get update -qq && \
 		DEBIAN_FRONTEND=noninteractive apt-get install -y -qq chromium"
+
+# Fields that are exported as C are compiled by the tests.
+compiler:
+	command -v gcc >/dev/null || $(AS_ROOT) sh -c "apt-get update -qq && \
+		DEBIAN_FRONTEND=noninteractive apt-get install -y -qq gcc libc6-dev"
 
 check: $(VENV)/.development
 	$(BIN)/ruff format --check .
