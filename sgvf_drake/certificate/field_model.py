@@ -31,6 +31,7 @@ from sgvf_drake.fields import (
     PaperComposition,
     Perceptron,
     RobustComposition,
+    ScoreInducedField,
     ScoreNetwork,
     StrandMixture,
     StrandNetwork,
@@ -67,8 +68,13 @@ class Algebra(Generic[Model]):
     def field(self, field: BoundedField, patches: Patches) -> Model:
         """Returns the models of m."""
         S, N = self.score_and_tangent(field, patches)
-        base = field.field if isinstance(field, HeldField) else field
-        m, rest = compose(base.composition, S, N), base.rest
+        return self.composed(
+            field.field if isinstance(field, HeldField) else field, S, N, patches
+        )
+
+    def composed(self, field: ScoreInducedField, S: Model, N: Model, patches: Patches) -> Model:
+        """Returns the models of m, of those of the raw score and of the tangent."""
+        m, rest = compose(field.composition, S, N), field.rest
         if rest is None:
             return m
         away = self._away(rest, patches)

@@ -50,7 +50,7 @@ def pair_of(text: str | None, option: str) -> tuple[str | None, str | None]:
     names = [name.strip() for name in text.split(",")]
     if len(names) > 2 or not all(names):
         raise ConfigurationError(
-            f"{option} takes one name, or that of the score and that of the tangent, not {text!r}"
+            f"{option} takes one name, or the score's and the tangent's, not {text!r}"
         )
     return names[0], names[-1]
 

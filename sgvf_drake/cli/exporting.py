@@ -1,0 +1,86 @@
+"""The command that writes a field for other machines: export."""
+
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from sgvf_drake.cli.application import app
+from sgvf_drake.cli.options import FieldPath, Out, Overwrite
+from sgvf_drake.cli.tables import print_columns, print_folder
+from sgvf_drake.exceptions import ConfigurationError
+
+SUMMARY = "summary.json"
+
+
+def _to_onnx(field: Any, folder: Path, options: Mapping[str, Any]) -> dict[str, Any]:
+    try:
+        module = import_module("sgvf_drake.export.onnx")
+    except ImportError:
+        raise ConfigurationError(
+            "--to onnx needs ONNX: pip install 'sgvf-drake[onnx]'"
+        ) from None
+    found: dict[str, Any] = module.export_onnx(field, folder, **options)
+    return found
+
+
+TARGETS: dict[str, Callable[[Any, Path, Mapping[str, Any]], dict[str, Any]]] = {
+    "onnx": _to_onnx
+}
+"""What writes a field into a folder with the options that were given, and tells of it."""
+
+FILES = {"onnx": ("field.onnx", "field_jacobian.onnx")}
+"""What each target may write."""
+
+
+@app.command()
+def export(
+    field: FieldPath,
+    to: Annotated[str, typer.Option(help="What for.", metavar=f"[{'|'.join(TARGETS)}]")],
+    out: Out,
+    precision: Annotated[
+        str | None,
+        typer.Option(help="Numbers of the export: double, float or int8  \\[default: double]."),
+    ] = None,
+    speed: Annotated[
+        float | None,
+        typer.Option(help="Export the field as sgvf fly flies it at this speed, m/s."),
+    ] = None,
+    scale: Annotated[
+        float, typer.Option(help="With --speed: metres in one unit of the waypoints.")
+    ] = 1.0,
+    overwrite: Overwrite = False,
+) -> None:
+    """Write a field as files that need nothing of this package."""
+    if to not in TARGETS:
+        raise ConfigurationError(f"--to cannot be {to!r}; it is one of {', '.join(TARGETS)}")
+    # Slow to import, so only once the options are read.
+    from sgvf_drake.experiments import as_flown, open_field
+    from sgvf_drake.experiments.results import origin, result_folder, write_summary
+    from sgvf_drake.fields import DirectedField
+
+    loaded = open_field(field)
+    if speed is not None:
+        if isinstance(loaded, DirectedField):
+            raise ConfigurationError("--speed is not for fields of paths that cross or branch")
+        loaded = as_flown(loaded, speed, scale)
+    given = {} if precision is None else {"precision": precision}
+    with result_folder(out, (SUMMARY, *FILES[to]), overwrite=overwrite) as folder:
+        facts = TARGETS[to](loaded, folder, given)
+        write_summary(folder, {"to": to, **origin(loaded), "speed": speed, **facts})
+    print_columns(
+        "Export",
+        {
+            "file": lambda own: own[0],
+            "kB": lambda own: f"{own[1]['bytes'] / 1000:.0f}",
+            "differs from NumPy by": lambda own: _differences(own[1]["largest_difference"]),
+        },
+        list(facts["files"].items()),
+    )
+    print_folder(out)
+
+
+def _differences(found: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} {value:.1g}" for name, value in found.items())

@@ -1,0 +1,1 @@
+"""Guiding fields for other machines, as files that need nothing of this package."""
