@@ -17,6 +17,7 @@ from tests.helpers import circle
 ROOT = Path(__file__).parents[1]
 COMMANDS = {
     *("paths", "train", "import", "follow", "fly", "montecarlo", "verify", "certify"),
+    "export",
     *("singularities", "demo", "run", "reproduce"),
 }
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -27,11 +27,18 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components
 from sgvf_drake.arrays import BoolArray, FloatArray, IntArray
 from sgvf_drake.certificate.boxes import Boxes
 from sgvf_drake.certificate.cells import SIDES, UNIT, Cells
-from sgvf_drake.certificate.field_model import direction_dual, direction_model, has_dual
+from sgvf_drake.certificate.field_model import (
+    PerturbedField,
+    direction_dual,
+    direction_model,
+    has_dual,
+)
 from sgvf_drake.certificate.kernels import SLACK
 from sgvf_drake.certificate.walls import Walls
 from sgvf_drake.fields import GuidingField
 from sgvf_drake.progress import Progress, no_progress
+
+PlanarField = GuidingField | PerturbedField
 
 # Directions u that are tried.
 ANGLES = np.linspace(0, 2 * np.pi, 32, endpoint=False)
@@ -111,7 +118,7 @@ class _Known:
     facts: FloatArray
 
     @classmethod
-    def of(cls, field: GuidingField, cells: Cells, walls: Sequence[Walls]) -> "_Known":
+    def of(cls, field: PlanarField, cells: Cells, walls: Sequence[Walls]) -> "_Known":
         """Finds out about squares."""
         boxes, goal = cells.boxes, np.zeros(len(cells), bool)
         for one in walls:
@@ -123,7 +130,7 @@ class _Known:
         )
         return cls(cells, goal, facts)
 
-    def growing(self, field: GuidingField, rows: BoolArray) -> BoolArray:
+    def growing(self, field: PlanarField, rows: BoolArray) -> BoolArray:
         """Tells on which of some squares (n,) div m > 0; each is asked once."""
         unknown = rows & np.isnan(self.facts[:, GROWS])
         self.facts[unknown, GROWS] = _grows(field, self.cells[unknown].boxes)
@@ -143,7 +150,7 @@ class _Known:
         )
 
 
-def facts_of(field: GuidingField, boxes: Boxes) -> FloatArray:
+def facts_of(field: PlanarField, boxes: Boxes) -> FloatArray:
     """Returns what is known of m on squares, by the columns above, (n, 8 + u)."""
     # What overflows is not above any bound, nor below one.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -194,7 +201,7 @@ class _Graph:
 
 
 def find_basin(
-    field: GuidingField, walls: Sequence[Walls], progress: Progress = no_progress
+    field: PlanarField, walls: Sequence[Walls], progress: Progress = no_progress
 ) -> Basin:
     """Proves from where robots come between walls, and divides squares where that helps.
 
@@ -222,7 +229,7 @@ def find_basin(
     return replace(_basin(field, known, graph), evaluated=evaluated)
 
 
-def _staying(field: GuidingField, known: _Known, graph: _Graph) -> BoolArray:
+def _staying(field: PlanarField, known: _Known, graph: _Graph) -> BoolArray:
     """Tells which squares (n,) to divide of those where robots may stay."""
     found = graph.stays & (known.cells.size > 1)
     if _part_of_box(field, known.cells, found) > FEW:
@@ -230,7 +237,7 @@ def _staying(field: GuidingField, known: _Known, graph: _Graph) -> BoolArray:
     return found & ~known.growing(field, found)
 
 
-def prove_basin(field: GuidingField, cells: Cells, walls: Sequence[Walls]) -> Basin:
+def prove_basin(field: PlanarField, cells: Cells, walls: Sequence[Walls]) -> Basin:
     """Proves from which squares robots come between walls.
 
     Args:
@@ -291,7 +298,7 @@ def _moves(labels: IntArray, facts: FloatArray) -> BoolArray:
     return np.asarray((least > 0).any(axis=1))
 
 
-def _basin(field: GuidingField, known: _Known, graph: _Graph) -> Basin:
+def _basin(field: PlanarField, known: _Known, graph: _Graph) -> Basin:
     """Returns what a graph says of the box."""
     cells, grows = known.cells, known.growing(field, graph.stays)
     numbers, of_set = np.unique(graph.labels[graph.stays], return_inverse=True)
@@ -316,7 +323,7 @@ def _basin(field: GuidingField, known: _Known, graph: _Graph) -> Basin:
     )
 
 
-def _grows(field: GuidingField, boxes: Boxes) -> BoolArray:
+def _grows(field: PlanarField, boxes: Boxes) -> BoolArray:
     """Tells on which squares (n,) div m > 0, of m times a positive function."""
     if not has_dual(field):
         return np.zeros(len(boxes), bool)
@@ -328,7 +335,7 @@ def _grows(field: GuidingField, boxes: Boxes) -> BoolArray:
     return np.concatenate(lower) > 0 if lower else np.zeros(0, bool)
 
 
-def _part_of_box(field: GuidingField, cells: Cells, rows: BoolArray) -> float:
+def _part_of_box(field: PlanarField, cells: Cells, rows: BoolArray) -> float:
     """Returns the part of the field's box that some squares make up."""
     lower, upper = (field.cloud.normalize(corner) for corner in field.cloud.box)
     area = cells.areas_in(lower, upper)[rows].sum() / np.prod(upper - lower)

@@ -10,10 +10,10 @@ from threadpoolctl import threadpool_limits
 from sgvf_drake.arrays import FloatArray
 from sgvf_drake.certificate.basin import Basin, find_basin, prove_basin
 from sgvf_drake.certificate.boxes import Boxes, BoxSizes
-from sgvf_drake.certificate.by_tubes import ProposeTube, ProveBasin, prove_by_tubes
+from sgvf_drake.certificate.by_tubes import ProposeTube, prove_by_tubes
 from sgvf_drake.certificate.cells import Cells
 from sgvf_drake.certificate.certificate import Certificate
-from sgvf_drake.certificate.field_model import model_field
+from sgvf_drake.certificate.field_model import BoundedField, model_field
 from sgvf_drake.certificate.kernels import check_rounding
 from sgvf_drake.certificate.level_search import find_levels
 from sgvf_drake.certificate.levels import LevelsProof, prove_levels
@@ -99,7 +99,13 @@ def check(
         raise ConfigurationError("the certificate certifies nothing")
     check_rounding()
     reference = field.path if reference is None else reference
-    known, prove = _claimed(certificate, field)
+    known = known_tubes(certificate, field)
+
+    def prove(walls: Sequence[Walls]) -> Basin | None:
+        if certificate.cells is None or not walls:
+            return None
+        return prove_basin(field, Cells.of(certificate.cells), walls)
+
     with threadpool_limits(**ONE_THREAD):
         found = prove_by_tubes(field, reference, known, prove)
         if certificate.levels is not None:
@@ -110,8 +116,8 @@ def check(
     return found
 
 
-def _claimed(certificate: Certificate, field: GuidingField) -> tuple[ProposeTube, ProveBasin]:
-    """Returns what gives the tubes, the walls and the cells of a certificate, proved."""
+def known_tubes(certificate: Certificate, field: BoundedField) -> ProposeTube:
+    """Returns what gives the tubes and the walls of a certificate, proved of a field."""
 
     def known(piece: int, _: FloatArray) -> FoundTube | None:
         if piece >= min(len(certificate.tubes), len(certificate.walls)):
@@ -125,12 +131,7 @@ def _claimed(certificate: Certificate, field: GuidingField) -> tuple[ProposeTube
         found = prove_walls(field, tube, walls)
         return FoundTube(tube, proof, walls if found.proved == len(walls) else None, found)
 
-    def prove(walls: Sequence[Walls]) -> Basin | None:
-        if certificate.cells is None or not walls:
-            return None
-        return prove_basin(field, Cells.of(certificate.cells), walls)
-
-    return known, prove
+    return known
 
 
 def _with_levels(found: Certificate, proof: LevelsProof) -> Certificate:

@@ -99,7 +99,7 @@ class Erf(OpRun):
 def test_gelu_is_exported_in_single_and_right_in_double(tmp_path):
     (gelu,) = (one for one in ACTIVATIONS if one.name == "GELU")
     field = with_activation(gelu)
-    with pytest.raises(ConfigurationError, match="GELU needs; .* --precision float"):
+    with pytest.raises(ConfigurationError, match=r"GELU needs; .* --precision float"):
         export_onnx(field, tmp_path)
     facts = export_onnx(field, tmp_path, precision="float")
     for told in facts["files"].values():
