@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from sgvf_drake.certificate.arithmetic import ARITHMETICS, ExportedField
 from sgvf_drake.certificate.basin import Basin, prove_basin
-from sgvf_drake.certificate.by_tubes import prove_by_tubes
+from sgvf_drake.certificate.by_tubes import floor, prove_by_tubes
 from sgvf_drake.certificate.cells import Cells
 from sgvf_drake.certificate.certificate import Certificate
 from sgvf_drake.certificate.certification import ONE_THREAD, known_tubes
@@ -106,8 +106,8 @@ def check_exported(
         arithmetic=arithmetic,
         certified=found.certified,
         reason=_reason(found, around.largest, e_star, left),
-        error=around.largest,
-        box_error=None if found.cells is None else outside.largest,
+        error=float(around.largest),
+        box_error=None if found.cells is None else float(outside.largest),
         e_star=e_star,
         e_star_left=left,
         area_fraction=found.area_fraction,
@@ -120,13 +120,19 @@ def _reason(
     e_star: Sequence[tuple[float, ...]],
     left: Sequence[tuple[float, ...]],
 ) -> str:
-    said = f"m is computed to {_ceil(error)} over tubes and walls"
+    said = f"m is off by {_ceil(error)} at most over tubes and walls"
     if not found.certified:
-        return f"{said}, with which {found.reason}"
-    before, after = (max(map(max, filter(None, some)), default=None) for some in (e_star, left))
-    if before is None:
-        return f"{said}, with which {found.reason}"
-    return f"{said}; e* was {before:.3g}, and {after:.3g} is left; {found.reason}"
+        return f"NOT certified as exported: {said}, and {found.reason}"
+    said = f"certified as exported: {said}"
+    if any(e_star):
+        before, after = (
+            f"{min(map(min, some)):.3g} to {max(map(max, some)):.3g}"
+            for some in (tuple(filter(None, e_star)), tuple(filter(None, left)))
+        )
+        said += f"; e* was {before}, {after} is left"
+    if found.area_fraction is None:
+        return f"{said}; what enters the tube of a piece follows it"
+    return f"{said}; robots from {floor(found.area_fraction)} of the box come to a tube"
 
 
 def _ceil(value: float) -> str:

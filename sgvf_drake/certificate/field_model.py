@@ -179,8 +179,7 @@ def model_field(field: BoundedField, patches: Patches) -> TaylorModel:
         ConfigurationError: The field is of a kind that nothing here bounds.
     """
     if isinstance(field, PerturbedField):
-        m, error = TAYLOR.field(field.field, patches), field.error(patches)
-        return replace(m, remainder=(1 + SLACK) * (m.remainder + error[:, None]))
+        return _perturbed(TAYLOR.field(field.field, patches), field.error(patches))
     return TAYLOR.field(field, patches)
 
 
@@ -190,9 +189,14 @@ def direction_model(field: BoundedField, patches: Patches) -> TaylorModel:
     Raises:
         ConfigurationError: The field is of a kind that nothing here bounds.
     """
-    if isinstance(field, PerturbedField):
+    if not isinstance(field, PerturbedField):
+        return TAYLOR.direction(field, patches)
+    exact = field.field
+    if exact.rest is not None:
         return model_field(field, patches)
-    return TAYLOR.direction(field, patches)
+    S, N = TAYLOR.score_and_tangent(exact, patches)
+    error = _largest_factor(exact.composition, S, N) * field.error(patches)
+    return _perturbed(simplify(exact.composition, S, N), error)
 
 
 def direction_dual(field: BoundedField, patches: Patches) -> DualModel:
@@ -219,6 +223,11 @@ def has_dual(field: BoundedField) -> bool:
         isinstance(find_expansion(network.activation.name), Differentiable)
         for network in _networks(_exact(field))
     )
+
+
+def _perturbed(model: TaylorModel, error: FloatArray) -> TaylorModel:
+    """Returns models of all functions that are no further from these than an error (n,)."""
+    return replace(model, remainder=(1 + SLACK) * (model.remainder + error[:, None]))
 
 
 def _exact(field: BoundedField) -> ExactField:
@@ -264,6 +273,21 @@ def simplify(composition: Composition, S: Model, N: Model) -> Model:
             ratio = normal.dot(normal).scaled(gain**2).apply(INVERSE_SINHC, least=0.0)
             return normal + ratio.scaled(composition.tangent_share / gain) * v
     return compose(composition, S, N)
+
+
+def _largest_factor(composition: Composition, S: TaylorModel, N: TaylorModel) -> FloatArray:
+    """Returns what `simplify` multiplies m by over patches, at most, (n,)."""
+    match composition:
+        case NormalisedComposition(gain=gain):
+            n = _squashed(S, gain) + N
+            largest = np.sqrt(n.dot(n).shifted(UNIT_SOFTENING**2).upper[:, 0])
+        case RobustComposition(gain=gain) if gain > 0:
+            normal = _normal(composition, S, _direction(N, DIRECTION_SOFTENING))
+            squash = normal.dot(normal).scaled(gain**2).apply(SQUASH, least=0.0).lower[:, 0]
+            largest = np.where(squash > 0, 1 / (gain * squash), np.inf)
+        case _:
+            largest = np.ones(len(S.parts))
+    return np.asarray((1 + SLACK) * largest)
 
 
 def _robust(composition: RobustComposition, S: Model, N: Model) -> Model:

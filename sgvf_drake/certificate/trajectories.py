@@ -8,7 +8,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from sgvf_drake.arrays import FloatArray
-from sgvf_drake.certificate.field_model import BoundedField
+from sgvf_drake.certificate.field_model import ExactField
 from sgvf_drake.certificate.rest_ball import RestBall, prove_rest
 from sgvf_drake.fields import ComposedField
 from sgvf_drake.fields.compiled import CompiledField
@@ -58,7 +58,7 @@ class Orbit:
 
 
 def closed_orbit(
-    field: BoundedField, start: FloatArray, length: float, *, turn: float = 0.0
+    field: ExactField, start: FloatArray, length: float, *, turn: float = 0.0
 ) -> Orbit | None:
     """Returns the closed orbit on which m settles; None if it does not settle on one.
 
@@ -80,7 +80,7 @@ def closed_orbit(
     return None
 
 
-def open_orbit(field: BoundedField, start: FloatArray, length: float) -> Orbit | None:
+def open_orbit(field: ExactField, start: FloatArray, length: float) -> Orbit | None:
     """Returns the orbit from a place to a ball in which all is proved to come to rest, or None.
 
     Args:
@@ -103,7 +103,7 @@ def open_orbit(field: BoundedField, start: FloatArray, length: float) -> Orbit |
 
 
 def passing_orbit(
-    field: BoundedField, start: FloatArray, place: FloatArray, normal: FloatArray, near: float
+    field: ExactField, start: FloatArray, place: FloatArray, normal: FloatArray, near: float
 ) -> tuple[Orbit, bool]:
     """Returns the orbit from a place until it passes a plane near another, and whether it does.
 
@@ -119,7 +119,7 @@ def passing_orbit(
     return Orbit(run.sol, float(run.t[-1]), closed=False), run.status == 1
 
 
-def _rate(field: BoundedField) -> Rate:
+def _rate(field: ExactField) -> Rate:
     """Returns z' by time and z."""
     center, unit = field.cloud.center, field.cloud.unit_length
     if isinstance(field, ComposedField):

@@ -1,15 +1,16 @@
 """The command that writes a field for other machines: export."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from sgvf_drake.cli.application import app
+from sgvf_drake.cli.application import FAILED, app, progress
 from sgvf_drake.cli.options import FieldPath, Out, Overwrite
-from sgvf_drake.cli.tables import print_columns, print_folder
+from sgvf_drake.cli.tables import print_columns, print_folder, print_table
 from sgvf_drake.exceptions import ConfigurationError
 
 SUMMARY = "summary.json"
@@ -44,6 +45,13 @@ def export(
         str | None,
         typer.Option(help="Numbers of the export: double, float or int8  \\[default: double]."),
     ] = None,
+    certificate: Annotated[
+        Path | None,
+        typer.Option(
+            help="Of the field: what it still says with the errors of the export's numbers is "
+            "proved and told; exit 1 where that is nothing.",
+        ),
+    ] = None,
     speed: Annotated[
         float | None,
         typer.Option(help="Export the field as sgvf fly flies it at this speed, m/s."),
@@ -68,8 +76,13 @@ def export(
         loaded = as_flown(loaded, speed, scale)
     given = {} if precision is None else {"precision": precision}
     with result_folder(out, (SUMMARY, *FILES[to]), overwrite=overwrite) as folder:
+        found: dict[str, Any] = {}
+        if certificate is not None:
+            found = _proved(loaded, certificate, precision or "double")
+            given["certificate"] = found["reason"]
         facts = TARGETS[to](loaded, folder, given)
-        write_summary(folder, {"to": to, **origin(loaded), "speed": speed, **facts})
+        summary = {"to": to, **origin(loaded), "speed": speed, **facts}
+        write_summary(folder, {**summary, "certificate": found or None})
     print_columns(
         "Export",
         {
@@ -79,7 +92,44 @@ def export(
         },
         list(facts["files"].items()),
     )
+    if certificate is not None:
+        print_table("Certificate as exported", _certificate_rows(found))
     print_folder(out)
+    if certificate is not None and not found["certified"]:
+        raise typer.Exit(FAILED)
+
+
+def _proved(field: Any, certificate: Path, precision: str) -> dict[str, Any]:
+    """Returns what a certificate says of a field as it is exported."""
+    from sgvf_drake.certificate import ARITHMETICS, Certificate, check_exported
+    from sgvf_drake.experiments.certified import certificate_file
+    from sgvf_drake.fields import GuidingField
+
+    if not isinstance(field, GuidingField):
+        raise ConfigurationError(
+            "--certificate is not for fields of paths that cross or branch"
+        )
+    file = certificate_file(certificate)
+    if file is None:
+        raise ConfigurationError(f"there is no certificate in {certificate}")
+    known = Certificate.load(file)
+    if precision not in ARITHMETICS:
+        return {
+            "certified": False,
+            "reason": f"NOT certified as exported: nothing bounds the errors of {precision}",
+        }
+    with progress() as report:
+        return asdict(check_exported(known, field, precision, progress=report))
+
+
+def _certificate_rows(found: Mapping[str, Any]) -> dict[str, str]:
+    rows = {"certified": "yes" if found["certified"] else "NO", "because": found["reason"]}
+    if "error" not in found:
+        return rows
+    rows["error of m"] = f"at most {found['error']:.2g} over tubes and walls" + (
+        "" if found["box_error"] is None else f", {found['box_error']:.2g} over the box"
+    )
+    return rows
 
 
 def _differences(found: Mapping[str, float]) -> str:

@@ -50,7 +50,11 @@ CHECK_POINTS, CHECK_REACH = 2000, 1.0
 
 
 def export_onnx(
-    field: ScoreInducedField, folder: Path, *, precision: str = "double"
+    field: ScoreInducedField,
+    folder: Path,
+    *,
+    precision: str = "double",
+    certificate: str | None = None,
 ) -> dict[str, Any]:
     """Writes a field as `field.onnx`, m alone, and `field_jacobian.onnx`, with derivatives.
 
@@ -60,6 +64,7 @@ def export_onnx(
         field: Of the position alone, or a directed one.
         folder: Where the files go.
         precision: `double`, `float`, or `int8` (see `quantised`).
+        certificate: What is proved of the field in this precision, which the files tell.
 
     Returns:
         The names of the files, of inputs and outputs, and how far they are from NumPy, as
@@ -92,6 +97,8 @@ def export_onnx(
         "unit": "that of the waypoints",
     }
     for name, model in models.items():
+        if certificate is not None:
+            model.metadata_props.add(key="certificate", value=certificate)
         onnx.save(model, folder / name)
         facts["files"][name] = {
             "inputs": [part.name for part in model.graph.input],
@@ -155,7 +162,7 @@ def _model(
     d = field.dim
 
     def described(name: str) -> onnx.ValueInfoProto:
-        shape = ["n", d, d] if name.startswith("jacobian") else ["n", d]
+        shape: list[str | int | None] = ["n", d, d] if name.startswith("jacobian") else ["n", d]
         return helper.make_tensor_value_info(name, graph.element_type, shape)
 
     whole = helper.make_graph(
@@ -192,10 +199,14 @@ def _variables(graph: Graph, names: list[str], d: int, *, jacobian: bool) -> Ite
         yield Jet(graph, name, slopes)
 
 
-def _network(of: Perceptron, z: Jet, held: tuple[float, ...], name: str = "network") -> Jet:
+def _network(of: Perceptron, z: Any, held: tuple[float, ...]) -> Any:
     for value in reversed(held):
         of = of.with_last_input(value)
-    return add_network(z, of, f"{name}_{len(z.graph.nodes)}")
+    return add_network(z, of, f"network_{len(z.graph.nodes)}")
+
+
+def _score(points: FloatArray, sigma: float, z: Any) -> Any:
+    return _mixture(points, sigma, z, None)[0]
 
 
 def _mixture(
@@ -250,12 +261,13 @@ def _tangent(field: DirectedField, N: Jet) -> Jet:
     return square.apply(INVERSE_ROOT) * N
 
 
-GRAPH: Algebra[Any] = Algebra(
+# In place of patches there is the position, of which the algebra asks nothing.
+GRAPH: Any = Algebra[Any](
     lambda z: z,
     _network,
-    lambda components, z: _mixture(components.points, components.sigma, z, None)[0],
+    lambda components, z: _score(components.points, components.sigma, z),
 )
-"""What fields are composed of, as nodes; in place of patches there is the position."""
+"""What fields are composed of, as nodes."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,7 @@ from sgvf_drake.exceptions import ConfigurationError
 class _Points(CalibrationDataReader):
     """Inputs over which the ranges of all units are measured, in one batch."""
 
-    def __init__(self, feed: dict[str, FloatArray]) -> None:
+    def __init__(self, feed: dict[str, Any]) -> None:
         self._batches = iter([feed])
 
     def get_next(self) -> Any:

@@ -112,7 +112,8 @@ def _activation(
 ) -> Activation:
     """Returns the activation that the file tells or that was asked for."""
     by_file = told.get("activation")
-    if by_file is None and asked is None:
+    name = asked if by_file is None else by_file
+    if name is None:
         # Without a hidden layer there is none.
         if sum(str(key).endswith(".weight") for key in state) < 2:
             return SILU
@@ -121,7 +122,7 @@ def _activation(
             "a state dict does not tell what follows its layers; name it with --activation, "
             f"one of {names}"
         )
-    activation = find_activation(asked if by_file is None else by_file)
+    activation = find_activation(name)
     if asked is not None and activation != find_activation(asked):
         raise ConfigurationError(f"the activation is {by_file!r}, not {asked!r}")
     return activation
