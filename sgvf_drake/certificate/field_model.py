@@ -225,6 +225,11 @@ def has_dual(field: BoundedField) -> bool:
     )
 
 
+def largest_error(field: BoundedField, patches: Patches) -> float:
+    """Returns how far from m functions can be that are meant with a field, over patches."""
+    return float(field.error(patches).max()) if isinstance(field, PerturbedField) else 0.0
+
+
 def _perturbed(model: TaylorModel, error: FloatArray) -> TaylorModel:
     """Returns models of all functions that are no further from these than an error (n,)."""
     return replace(model, remainder=(1 + SLACK) * (model.remainder + error[:, None]))

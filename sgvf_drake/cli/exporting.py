@@ -1,6 +1,6 @@
 """The command that writes a field for other machines: export."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
@@ -81,6 +81,8 @@ def export(
             found = _proved(loaded, certificate, precision or "double")
             given["certificate"] = found["reason"]
         facts = TARGETS[to](loaded, folder, given)
+        if found and "error" not in found:
+            found["reason"] += _sampled(facts, found["e_star"])
         summary = {"to": to, **origin(loaded), "speed": speed, **facts}
         write_summary(folder, {**summary, "certificate": found or None})
     print_columns(
@@ -117,9 +119,18 @@ def _proved(field: Any, certificate: Path, precision: str) -> dict[str, Any]:
         return {
             "certified": False,
             "reason": f"NOT certified as exported: nothing bounds the errors of {precision}",
+            "e_star": [piece.e_star for piece in known.pieces],
         }
     with progress() as report:
         return asdict(check_exported(known, field, precision, progress=report))
+
+
+def _sampled(facts: Mapping[str, Any], e_star: Sequence[Sequence[float]]) -> str:
+    """Returns how errors that were sampled compare with what walls tolerate, in words."""
+    off = max(own["largest_difference"]["m"] for own in facts["files"].values())
+    walls = [value for own in e_star for value in own]
+    tolerated = f" where walls tolerate {min(walls):.3g} to {max(walls):.3g}" if walls else ""
+    return f"; over sampled points m is off by up to {off:.2g} in a coordinate{tolerated}"
 
 
 def _certificate_rows(found: Mapping[str, Any]) -> dict[str, str]:

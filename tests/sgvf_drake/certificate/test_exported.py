@@ -1,6 +1,6 @@
 """What a certificate says of a field in a machine's arithmetic."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -11,10 +11,11 @@ from sgvf_drake.certificate import (
     ExportedField,
     check_exported,
     find_tube,
+    prove_rest,
     prove_tube,
     prove_walls,
 )
-from sgvf_drake.certificate.field_model import direction_model, model_field
+from sgvf_drake.certificate.field_model import PerturbedField, direction_model, model_field
 from sgvf_drake.certificate.patches import Patches
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import NormalisedComposition, PaperComposition, load_field
@@ -34,6 +35,16 @@ def trained():
 def steep(ring_networks):
     """A field around a ring whose score is a difference of large numbers: weights of 40,000."""
     return GuidingField.from_torch(*ring_networks, PointCloud(circle(3.0, 100)), gain=0.7)
+
+
+@dataclass(frozen=True, eq=False)
+class Off(PerturbedField):
+    """Everything that is no further from a field than a number."""
+
+    most: float
+
+    def error(self, patches):
+        return np.full(len(patches), self.most)
 
 
 def tube_of(field):
@@ -71,12 +82,8 @@ def test_positive_multiples_hold_the_multiples_of_what_is_perturbed(composition)
     rng = np.random.default_rng(0)
     z = rng.uniform(-4, 4, (40, 2))
 
-    class Off(ExportedField):
-        def error(self, patches):
-            return np.full(len(patches), 0.3)
-
     patches = Patches(z, np.tile(1e-6 * np.eye(2), (40, 1, 1)))
-    model = direction_model(Off(field, FLOAT), patches)
+    model = direction_model(Off(field, 0.3), patches)
     middle = model_field(field, Patches.points(z)).value
     for turn in np.linspace(0, 2 * np.pi, 8):
         m = middle + 0.2999 * np.array([np.cos(turn), np.sin(turn)])
@@ -84,6 +91,20 @@ def test_positive_multiples_hold_the_multiples_of_what_is_perturbed(composition)
         for u in rng.standard_normal((20, 2)):
             most = model.weighted(np.broadcast_to(u, z.shape)).upper[:, 0]
             assert ((most > 0) | (m @ u <= 1e-9)).all()
+
+
+def test_errors_on_the_border_of_a_ball_of_rest_count():
+    field = load_field("tests/data/fields/half_circle.safetensors")
+    vertices = field.path.pieces[0].vertices
+    found = find_tube(field, field.cloud.normalize(vertices), closed=False)
+    exact = prove_rest(field, found.tube.rest)
+    assert exact.proved
+    for most in (0.2 * exact.inflow, 2 * exact.inflow):
+        proof = prove_rest(Off(field, most), found.tube.rest)
+        assert proof.rate == exact.rate
+        assert proof.inflow < exact.inflow - most
+        assert proof.proved == (proof.inflow > 0)
+    assert not proof.proved
 
 
 def test_what_cannot_be_proved_is_told(trained):
