@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+from flint import arb
 import numpy as np
 import pytest
 
@@ -19,6 +20,9 @@ from sgvf_drake.fields import (
 )
 from sgvf_drake.fields.activation import ACTIVATIONS
 from tests.fields import random_field, random_perceptron
+
+from .ball_fields import BallField
+from .balls import vector
 
 FLOAT, MIXED, DOUBLE = (ARITHMETICS[name] for name in ("float", "mixed", "double"))
 F = np.float32
@@ -153,6 +157,25 @@ def test_a_steep_network_in_balls():
     error = np.abs(float_network(network, z, np.random.default_rng(0)) - network(z))
     assert (error <= bound).all()
     assert (error > bound / 100).any()
+
+
+@pytest.mark.parametrize("ends", [0, 2])
+def test_double_is_within_its_bound_of_the_exact_field(ends):
+    """NumPy's own double, against the field in balls of 256 bits."""
+    field = random_field("robust", ends=ends)
+    exact, rng = BallField(field), np.random.default_rng(2)
+    # Numbers of 20 bits, whose way into the unit of the waypoints and back is exact but for
+    # what the bound counts.
+    z = np.round(rng.uniform(-4, 4, (20, 2)) * 2.0**17) / 2.0**17
+    bound = ExportedField(field, DOUBLE).error(Patches.points(z))
+    found = field(field.cloud.denormalize(z))
+    parts = []
+    for row, value in enumerate(found):
+        m = exact(vector(z[row])).m
+        off = sum((arb(float(a)) - b) ** 2 for a, b in zip(value, m, strict=True)).sqrt()
+        assert off < bound[row]
+        parts.append(float(off) / bound[row])
+    assert max(parts) > 1e-4
 
 
 def test_the_bounds_of_less_rounding_are_less():
