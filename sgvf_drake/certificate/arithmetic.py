@@ -53,9 +53,9 @@ fewer a call of the library; approximations of less accuracy are not covered."""
 CHUNK = 512
 """Patches that are asked about at once."""
 
-# A patch is halved while its bound is above the first, and so many times that at its middle, at
-# most so often.
-ENOUGH, LOOSE, HALVINGS = 1e-3, 3.0, 8
+# A patch is halved while its bound is above what is enough, and so many times that at its
+# middle, at most so often.
+LOOSE, HALVINGS = 3.0, 8
 # By such a part halves are longer.
 OVERLAP = 2.0**-40
 
@@ -67,8 +67,7 @@ class Arithmetic:
     Attributes:
         name: What exports call it.
         unit: The unit roundoff u of operations and of positions.
-        weights: The type of trained weights; what is computed of them beforehand is rounded
-            once more where operations are.
+        weights: The type of stored weights, and of what is computed of them beforehand.
         tiny: Above what underflow changes the result of an operation by.
     """
 
@@ -82,11 +81,11 @@ ARITHMETICS = {
     one.name: one
     for one in (
         Arithmetic("double", DOUBLE, np.float64, 1e-290),
-        Arithmetic("mixed", DOUBLE, np.float32, 1e-37),
+        Arithmetic("mixed", DOUBLE, np.float64, 1e-290),
         Arithmetic("float", SINGLE, np.float32, 1e-37),
     )
 }
-"""By name: double; weights in float and all else in double; all in float."""
+"""By name: double; double, with those weights in float that this leaves exact; all in float."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,13 +139,13 @@ def layers_of(network: Perceptron, arithmetic: Arithmetic, *, timed: bool) -> li
     def stored(array: FloatArray) -> FloatArray:
         return array.astype(arithmetic.weights).astype(np.float64)
 
-    exact, cast = held(network), held(_each(stored, network))
-    if arithmetic.unit != DOUBLE:
-        cast = _each(stored, exact)
+    exact = held(network)
     # What the time adds to biases is rounded, relative to the sum of sizes.
     sizes = held(_each(np.abs, network))
     layers = []
-    for own, other, size in zip(*map(_pairs, (exact, cast, sizes)), strict=True):
+    for own, other, size in zip(
+        *map(_pairs, (exact, _each(stored, exact), sizes)), strict=True
+    ):
         offs = (
             np.abs(a - b) + 2 * DOUBLE * c + arithmetic.tiny
             for a, b, c in zip(own, other, size, strict=True)
@@ -362,6 +361,7 @@ class ExportedField(PerturbedField):
     Attributes:
         field: m, of networks of the position.
         arithmetic: That of the machine.
+        enough: Bounds below it are not made any closer.
         largest: The largest error over all patches that were asked about.
 
     Raises:
@@ -370,6 +370,7 @@ class ExportedField(PerturbedField):
 
     field: ComposedField
     arithmetic: Arithmetic
+    enough: float = 1e-3
     largest: float = 0.0
 
     def __post_init__(self) -> None:
@@ -394,7 +395,7 @@ class ExportedField(PerturbedField):
         found = self._bound(patches)
         if halvings == 0 or patches.axes.shape[2] == 0:
             return found
-        loose = np.flatnonzero(~(found <= ENOUGH))
+        loose = np.flatnonzero(~(found <= self.enough))
         here = self._bound(Patches.points(patches.centers[loose]))
         loose = loose[~(found[loose] <= LOOSE * here)]
         if len(loose):

@@ -28,6 +28,10 @@ from sgvf_drake.fields.storage import field_digest
 from sgvf_drake.paths import ReferencePath
 from sgvf_drake.progress import Progress, no_progress
 
+# Bounds of errors that are close enough: m crosses walls at a tenth of its size at the least,
+# and has one direction on most squares.
+AROUND, OUTSIDE = 1e-3, 1e-2
+
 
 @dataclass(frozen=True)
 class ExportedCertificate:
@@ -85,7 +89,8 @@ def check_exported(
     if not certificate.certified:
         raise ConfigurationError("the certificate certifies nothing")
     check_rounding()
-    around, outside = (ExportedField(field, ARITHMETICS[arithmetic]) for _ in range(2))
+    machine = ARITHMETICS[arithmetic]
+    around, outside = (ExportedField(field, machine, enough) for enough in (AROUND, OUTSIDE))
 
     def prove(walls: Sequence[Walls]) -> Basin | None:
         progress("tubes and walls", 1, 1)

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -13,27 +13,52 @@ from sgvf_drake.cli.options import FieldPath, Out, Overwrite
 from sgvf_drake.cli.tables import print_columns, print_folder, print_table
 from sgvf_drake.exceptions import ConfigurationError
 
-SUMMARY = "summary.json"
+if TYPE_CHECKING:
+    from sgvf_drake.fields import DirectedField, GuidingField
 
 
-def _to_onnx(field: Any, folder: Path, options: Mapping[str, Any]) -> dict[str, Any]:
+class Options(NamedTuple):
+    """What is asked of an export; None: not asked for.
+
+    Attributes:
+        precision: How numbers are stored and computed.
+        certificate: What is proved of the field in this precision, for the files to tell.
+    """
+
+    precision: str | None
+    certificate: str | None
+
+
+class Target(NamedTuple):
+    """A form in which a field can be written.
+
+    Attributes:
+        write: Writes a field into a folder, as options say, and returns a summary.
+        files: What it leaves there.
+    """
+
+    write: Callable[["GuidingField | DirectedField", Path, Options], dict[str, Any]]
+    files: tuple[str, ...]
+
+
+def _write_onnx(
+    field: "GuidingField | DirectedField", folder: Path, options: Options
+) -> dict[str, Any]:
     try:
         module = import_module("sgvf_drake.export.onnx")
     except ImportError:
         raise ConfigurationError(
             "--to onnx needs ONNX: pip install 'sgvf-drake[onnx]'"
         ) from None
-    found: dict[str, Any] = module.export_onnx(field, folder, **options)
+    precision = options.precision or DEFAULT_PRECISION
+    found: dict[str, Any] = module.export_onnx(
+        field, folder, precision=precision, certificate=options.certificate
+    )
     return found
 
 
-TARGETS: dict[str, Callable[[Any, Path, Mapping[str, Any]], dict[str, Any]]] = {
-    "onnx": _to_onnx
-}
-"""What writes a field into a folder with the options that were given, and tells of it."""
-
-FILES = {"onnx": ("field.onnx", "field_jacobian.onnx")}
-"""What each target may write."""
+DEFAULT_PRECISION = "double"
+TARGETS = {"onnx": Target(_write_onnx, ("field.onnx", "field_jacobian.onnx"))}
 
 
 @app.command()
@@ -66,7 +91,7 @@ def export(
         raise ConfigurationError(f"--to cannot be {to!r}; it is one of {', '.join(TARGETS)}")
     # Slow to import, so only once the options are read.
     from sgvf_drake.experiments import as_flown, open_field
-    from sgvf_drake.experiments.results import origin, result_folder, write_summary
+    from sgvf_drake.experiments.results import SUMMARY, origin, result_folder, write_summary
     from sgvf_drake.fields import DirectedField
 
     loaded = open_field(field)
@@ -74,13 +99,11 @@ def export(
         if isinstance(loaded, DirectedField):
             raise ConfigurationError("--speed is not for fields of paths that cross or branch")
         loaded = as_flown(loaded, speed, scale)
-    given = {} if precision is None else {"precision": precision}
-    with result_folder(out, (SUMMARY, *FILES[to]), overwrite=overwrite) as folder:
-        found: dict[str, Any] = {}
+    target, found = TARGETS[to], dict[str, Any]()
+    with result_folder(out, (SUMMARY, *target.files), overwrite=overwrite) as folder:
         if certificate is not None:
-            found = _proved(loaded, certificate, precision or "double")
-            given["certificate"] = found["reason"]
-        facts = TARGETS[to](loaded, folder, given)
+            found = _proved(loaded, certificate, precision or DEFAULT_PRECISION)
+        facts = target.write(loaded, folder, Options(precision, found.get("reason")))
         if found and "error" not in found:
             found["reason"] += _sampled(facts, found["e_star"])
         summary = {"to": to, **origin(loaded), "speed": speed, **facts}

@@ -24,7 +24,7 @@ from tests.fields import random_field, random_perceptron
 from .ball_fields import BallField
 from .balls import vector
 
-FLOAT, MIXED, DOUBLE = (ARITHMETICS[name] for name in ("float", "mixed", "double"))
+FLOAT, DOUBLE = ARITHMETICS["float"], ARITHMETICS["double"]
 F = np.float32
 
 
@@ -113,13 +113,13 @@ COMPOSITIONS = (
 def test_float_is_within_its_bound_whatever_the_composition(composition, dim):
     for recipe in ("robust", "paper"):
         field = replace(random_field(recipe, dim=dim), composition=composition)
-        for half in (1e-4, 0.02, 0.2):
-            assert check_bounds(field, half, count=30) > 1e-5
+        for half in (1e-4, 0.05):
+            assert check_bounds(field, half, count=16) > 1e-5
 
 
 def test_float_is_within_its_bound_where_paths_end():
     for half in (1e-4, 0.05):
-        check_bounds(random_field("robust", ends=2), half)
+        check_bounds(random_field("robust", ends=2), half, count=20)
 
 
 @pytest.mark.parametrize("activation", ACTIVATIONS, ids=lambda one: one.name)
@@ -181,12 +181,7 @@ def test_double_is_within_its_bound_of_the_exact_field(ends):
 def test_the_bounds_of_less_rounding_are_less():
     field = load_field("tests/data/fields/robust.safetensors")
     patches, points = patches_of(field, 1e-3, 20)
-    double, mixed, single = (
-        ExportedField(field, one).error(patches) for one in (DOUBLE, MIXED, FLOAT)
-    )
-    assert (double <= mixed).all()
-    # Trained weights are numbers of float32: with these in double nothing is lost.
-    assert (mixed < 1.01 * double + 1e-30).all()
+    double, single = (ExportedField(field, one).error(patches) for one in (DOUBLE, FLOAT))
     assert (double < 1e-8 * single).all()
     # Double in another order: on reversed units.
     order = np.arange(64)[::-1]

@@ -64,14 +64,6 @@ def test_a_tube_and_its_first_walls_hold_with_the_errors_of_float(trained):
     assert 1e-5 < exported.largest < 0.01
 
 
-def test_a_steep_score_is_followed_in_double_but_not_in_float(steep):
-    tube = tube_of(steep).tube
-    assert prove_tube(ExportedField(steep, DOUBLE), tube).proved
-    exported = ExportedField(steep, FLOAT)
-    assert not prove_tube(exported, tube).proved
-    assert exported.largest > 0.1
-
-
 @pytest.mark.parametrize(
     "composition", [None, PaperComposition(0.8), NormalisedComposition(0.8)]
 )
@@ -112,6 +104,15 @@ def test_what_cannot_be_proved_is_told(trained):
         ConfigurationError, match="nothing bounds the errors of int8; of double"
     ):
         check_exported(None, trained, "int8")
+
+
+@pytest.mark.full
+def test_a_steep_score_is_followed_in_double_but_not_in_float(steep):
+    tube = tube_of(steep).tube
+    assert prove_tube(ExportedField(steep, DOUBLE), tube).proved
+    exported = ExportedField(steep, FLOAT)
+    assert not prove_tube(exported, tube).proved
+    assert exported.largest > 0.1
 
 
 @pytest.mark.full
