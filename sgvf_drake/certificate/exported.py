@@ -125,7 +125,7 @@ def _reason(
     e_star: Sequence[tuple[float, ...]],
     left: Sequence[tuple[float, ...]],
 ) -> str:
-    said = f"m is off by {_ceil(error)} at most over tubes and walls"
+    said = f"m is off by {ceiling(error)} at most over tubes and walls"
     if not found.certified:
         return f"NOT certified as exported: {said}, and {found.reason}"
     said = f"certified as exported: {said}"
@@ -140,7 +140,7 @@ def _reason(
     return f"{said}; robots from {floor(found.area_fraction)} of the box come to a tube"
 
 
-def _ceil(value: float) -> str:
+def ceiling(value: float) -> str:
     """Returns a number of two digits that is no less."""
     if not (np.isfinite(value) and value > 0):
         return f"{value:.2g}"

@@ -157,11 +157,13 @@ def _sampled(facts: Mapping[str, Any], e_star: Sequence[Sequence[float]]) -> str
 
 
 def _certificate_rows(found: Mapping[str, Any]) -> dict[str, str]:
+    from sgvf_drake.certificate.exported import ceiling
+
     rows = {"certified": "yes" if found["certified"] else "NO", "because": found["reason"]}
     if "error" not in found:
         return rows
-    rows["error of m"] = f"at most {found['error']:.2g} over tubes and walls" + (
-        "" if found["box_error"] is None else f", {found['box_error']:.2g} over the box"
+    rows["error of m"] = f"at most {ceiling(found['error'])} over tubes and walls" + (
+        "" if found["box_error"] is None else f", {ceiling(found['box_error'])} outside of them"
     )
     return rows
 
