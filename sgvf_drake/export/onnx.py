@@ -13,7 +13,6 @@ of the waypoints; the normalisation is part of the graph.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -85,7 +84,7 @@ def export_onnx(
         )
     models = {VALUE_FILE: make_model(field, PRECISIONS[precision], jacobian=False)}
     if precision == "int8":
-        # Imported here, as ONNX Runtime is: a graph of floating-point numbers needs it not.
+        # Imported here: it is slow to import, and only eight bits need it.
         from sgvf_drake.export.quantising import quantised
 
         models[VALUE_FILE] = quantised(models[VALUE_FILE], calibration_points(field))
@@ -270,7 +269,6 @@ GRAPH: Any = Algebra[Any](
 """What fields are composed of, as nodes."""
 
 
-@dataclass(frozen=True, eq=False)
 class Session:
     """A graph in ONNX Runtime, on the processor, called with NumPy arrays.
 
@@ -278,31 +276,25 @@ class Session:
         model: The graph.
     """
 
-    model: onnx.ModelProto
-
-    def __post_init__(self) -> None:
+    def __init__(self, model: onnx.ModelProto) -> None:
+        """Loads a graph."""
         import onnxruntime
 
+        self.model = model
         options = onnxruntime.SessionOptions()
         # Errors alone: it warns of what it does to constants.
         options.log_severity_level, options.intra_op_num_threads = 3, 1
-        session = onnxruntime.InferenceSession(
-            self.model.SerializeToString(), options, providers=["CPUExecutionProvider"]
+        self._session: Any = onnxruntime.InferenceSession(
+            model.SerializeToString(), options, providers=["CPUExecutionProvider"]
         )
-        object.__setattr__(self, "_session", session)
 
     def __call__(self, *inputs: FloatArray) -> list[FloatArray]:
         """Returns all outputs in float64, of inputs in the order of the graph's."""
-        described = self.model.graph.input
-        types = [
-            helper.tensor_dtype_to_np_dtype(part.type.tensor_type.elem_type)
-            for part in described
-        ]
-        feed = {
-            part.name: np.asarray(values, dtype)
-            for part, values, dtype in zip(described, inputs, types, strict=True)
-        }
-        return [np.asarray(values, np.float64) for values in self._session.run(None, feed)]  # type: ignore[attr-defined]
+        feed = {}
+        for part, values in zip(self.model.graph.input, inputs, strict=True):
+            dtype = helper.tensor_dtype_to_np_dtype(part.type.tensor_type.elem_type)
+            feed[part.name] = np.asarray(values, dtype)
+        return [np.asarray(values, np.float64) for values in self._session.run(None, feed)]
 
 
 def calibration_points(field: ScoreInducedField) -> list[FloatArray]:
