@@ -35,12 +35,19 @@ from sgvf_drake.certificate.boxes import Boxes
 from sgvf_drake.certificate.cells import SIDES, UNIT, Cells
 from sgvf_drake.certificate.fence_search import FINE, find_fences
 from sgvf_drake.certificate.fences import Fence, Fenced, Fences
-from sgvf_drake.certificate.field_model import direction_dual, direction_model, has_dual
+from sgvf_drake.certificate.field_model import (
+    PerturbedField,
+    direction_dual,
+    direction_model,
+    has_dual,
+)
 from sgvf_drake.certificate.kernels import SLACK
 from sgvf_drake.certificate.taylor_model import TaylorModel
 from sgvf_drake.certificate.walls import Walls
 from sgvf_drake.fields import GuidingField
 from sgvf_drake.progress import Progress, no_progress
+
+PlanarField = GuidingField | PerturbedField
 
 Ask = Callable[[Boxes], FloatArray]
 """From squares to a fact of each (n,)."""
@@ -129,7 +136,7 @@ class _Known:
 
     @classmethod
     def of(
-        cls, field: GuidingField, cells: Cells, walls: Sequence[Walls], fences: Fences
+        cls, field: PlanarField, cells: Cells, walls: Sequence[Walls], fences: Fences
     ) -> "_Known":
         """Finds out about squares."""
         boxes, goal = cells.boxes, np.zeros(len(cells), bool)
@@ -159,7 +166,7 @@ class _Known:
         self.facts[unknown, column] = np.concatenate(found)
         return self.facts[:, column]
 
-    def growing(self, field: GuidingField, rows: BoolArray) -> BoolArray:
+    def growing(self, field: PlanarField, rows: BoolArray) -> BoolArray:
         """Tells on which of some squares (n,) div m > 0."""
         if not has_dual(field):
             return np.zeros_like(rows)
@@ -180,7 +187,7 @@ class _Known:
         )
 
 
-def facts_of(field: GuidingField, boxes: Boxes) -> FloatArray:
+def facts_of(field: PlanarField, boxes: Boxes) -> FloatArray:
     """Returns what is known of m on squares, by the columns above, (n, 8 + u)."""
     # What overflows is not above any bound, nor below one.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -219,7 +226,7 @@ class _Graph:
         stays = ~_above_zero(labels, known.facts[:, ALONG]) & ~known.goal & rows
         return cls(after, rows, out & rows, labels, stays)
 
-    def going_away(self, field: GuidingField, known: "_Known", fences: Fences) -> "_Graph":
+    def going_away(self, field: PlanarField, known: "_Known", fences: Fences) -> "_Graph":
         """Returns the same without the sets in which robots go away from inside a fence."""
         stays = self.stays
         for column, fence in enumerate(fences.closed, GROWS + 1):
@@ -305,7 +312,7 @@ def find_basin(
     return replace(_basin(field, known, graphs, fences), evaluated=evaluated)
 
 
-def _staying(field: GuidingField, known: _Known, graphs: _Graphs) -> BoolArray:
+def _staying(field: PlanarField, known: _Known, graphs: _Graphs) -> BoolArray:
     """Tells which squares (n,) to divide of those where robots may stay."""
     found = graphs.stays & (known.cells.size > 1)
     if _part_of_box(field, known.cells, found) > FEW:
@@ -321,7 +328,7 @@ def _places(known: _Known, graphs: _Graphs) -> FloatArray:
 
 
 def prove_basin(
-    field: GuidingField, cells: Cells, walls: Sequence[Walls], fences: Sequence[Fence] = ()
+    field: PlanarField, cells: Cells, walls: Sequence[Walls], fences: Sequence[Fence] = ()
 ) -> Basin:
     """Proves from which squares robots come between walls.
 
@@ -351,7 +358,7 @@ def _around(walls: Sequence[Walls]) -> Cells:
     return cells
 
 
-def _graphs(field: GuidingField, known: _Known, fences: Fences) -> _Graphs:
+def _graphs(field: PlanarField, known: _Known, fences: Fences) -> _Graphs:
     ways, out = _ways(known)
     fenced = known.fenced
     whole, outside, inside = (
@@ -401,7 +408,7 @@ def _above_zero(labels: IntArray, facts: FloatArray) -> BoolArray:
     return np.any(least > 0, axis=1)[labels]
 
 
-def _basin(field: GuidingField, known: _Known, graphs: _Graphs, fences: Fences) -> Basin:
+def _basin(field: PlanarField, known: _Known, graphs: _Graphs, fences: Fences) -> Basin:
     """Returns what graphs say of the box."""
     cells, grows = known.cells, known.growing(field, graphs.stays)
     never, excluded = np.zeros(len(cells), bool), []
@@ -426,12 +433,12 @@ def _basin(field: GuidingField, known: _Known, graphs: _Graphs, fences: Fences) 
     )
 
 
-def _divergence(field: GuidingField, boxes: Boxes) -> FloatArray:
+def _divergence(field: PlanarField, boxes: Boxes) -> FloatArray:
     """Returns what div m is on squares (n,) at least, of m times a positive function."""
     return direction_dual(field, boxes.patches).divergence.lower[:, 0]
 
 
-def _away(field: GuidingField, fence: Fence, boxes: Boxes) -> FloatArray:
+def _away(field: PlanarField, fence: Fence, boxes: Boxes) -> FloatArray:
     """Returns how fast m leads away from the middle of a fence on squares (n,), at least.
 
     That is m . Q (z - c), by `Fence.ellipse`, of m times a positive function.
@@ -443,7 +450,7 @@ def _away(field: GuidingField, fence: Fence, boxes: Boxes) -> FloatArray:
     return m.dot(outward[0].joined(*outward[1:])).lower[:, 0]
 
 
-def _part_of_box(field: GuidingField, cells: Cells, rows: BoolArray) -> float:
+def _part_of_box(field: PlanarField, cells: Cells, rows: BoolArray) -> float:
     """Returns the part of the field's box that some squares make up."""
     lower, upper = (field.cloud.normalize(corner) for corner in field.cloud.box)
     area = cells.areas_in(lower, upper)[rows].sum() / np.prod(upper - lower)

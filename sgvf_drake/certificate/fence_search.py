@@ -17,7 +17,7 @@ from scipy.optimize import root
 from sgvf_drake.arrays import FloatArray
 from sgvf_drake.certificate.cells import HALF
 from sgvf_drake.certificate.fences import Fence
-from sgvf_drake.certificate.field_model import BoundedField
+from sgvf_drake.certificate.field_model import ExactField
 from sgvf_drake.certificate.trajectories import Rate, rate_of
 from sgvf_drake.fields import GuidingField
 
@@ -81,7 +81,7 @@ def _around_focus(focus: FloatArray, jacobian: FloatArray) -> Fence:
     return Fence.through(focus + np.linalg.solve(root_of_Q, circle.T).T)
 
 
-def _around_saddle(field: BoundedField, saddle: FloatArray, come: FloatArray) -> Fence:
+def _around_saddle(field: ExactField, saddle: FloatArray, come: FloatArray) -> Fence:
     """Returns the fence around a saddle, to which robots come in this direction."""
     rate, sides = rate_of(field), []
     for way in (come, -come):

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from sgvf_drake.arrays import FloatArray
-from sgvf_drake.certificate.field_model import BoundedField
+from sgvf_drake.certificate.field_model import ExactField
 from sgvf_drake.certificate.rest_ball import RestBall, prove_rest
 from sgvf_drake.fields import ComposedField
 from sgvf_drake.fields.compiled import CompiledField
@@ -62,7 +62,7 @@ class Orbit:
 
 
 def closed_orbit(
-    field: BoundedField,
+    field: ExactField,
     start: FloatArray,
     length: float,
     *,
@@ -91,7 +91,7 @@ def closed_orbit(
     return None
 
 
-def open_orbit(field: BoundedField, start: FloatArray, length: float) -> Orbit | None:
+def open_orbit(field: ExactField, start: FloatArray, length: float) -> Orbit | None:
     """Returns the orbit from a place to a ball in which all is proved to come to rest, or None.
 
     Args:
@@ -114,7 +114,7 @@ def open_orbit(field: BoundedField, start: FloatArray, length: float) -> Orbit |
 
 
 def passing_orbit(
-    field: BoundedField, start: FloatArray, place: FloatArray, normal: FloatArray, near: float
+    field: ExactField, start: FloatArray, place: FloatArray, normal: FloatArray, near: float
 ) -> tuple[Orbit, bool]:
     """Returns the orbit from a place until it passes a plane near another, and whether it does.
 
@@ -130,7 +130,7 @@ def passing_orbit(
     return Orbit(run.sol, float(run.t[-1]), closed=False), run.status == 1
 
 
-def rate_of(field: BoundedField, turn: float = 0.0) -> Rate:
+def rate_of(field: ExactField, turn: float = 0.0) -> Rate:
     """Returns z' by time and z, for m turned by an angle, rad; in the plane, unless it is 0."""
     if turn:
         return _turned(rate_of(field), turn)

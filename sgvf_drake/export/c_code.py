@@ -27,6 +27,7 @@ def export_c(
     precision: str = "mixed",
     *,
     routes: Sequence[Itinerary | str] | None = None,
+    certificate: str | None = None,
     overwrite: bool = False,
 ) -> dict[str, Any]:
     """Writes a field as C99 without dependencies but libm; see the page "Export".
@@ -39,6 +40,7 @@ def export_c(
             with the numbers that are exactly float stored as such.
         routes: Of a directed field, itineraries on its network, or their edges as "1,2,-3",
             whose automata are written too; None: one over each of its pieces.
+        certificate: What is proved of the field in this precision, for the header to tell.
         overwrite: Whether files there may be replaced.
 
     Returns:
@@ -58,7 +60,7 @@ def export_c(
             f"a {type(field).__name__} cannot be exported, only a field that was trained or "
             "imported"
         )
-    files, summary = _render(field, precision, routes)
+    files, summary = _render(field, precision, routes, certificate)
     folder = Path(folder)
     taken = [name for name in files if (folder / name).exists()]
     if taken and not overwrite:
@@ -75,6 +77,7 @@ def _render(
     field: ComposedField | DirectedField,
     precision: str,
     routes: Sequence[Itinerary | str] | None,
+    certificate: str | None,
 ) -> tuple[dict[str, str], dict[str, Any]]:
     """Returns the texts of all files, and the summary."""
     if routes is not None and not isinstance(field, DirectedField):
@@ -94,6 +97,7 @@ def _render(
         **laws_constants(),
         "version": sgvf_drake.__version__,
         "frame": _frame(field),
+        "certificate": certificate,
         "digest": digest,
         "precision": precision,
         "unit_length": literal(field.cloud.unit_length),

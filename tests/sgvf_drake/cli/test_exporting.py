@@ -2,9 +2,14 @@
 
 import re
 
+import numpy as np
+import onnx
 import pytest
 
+from sgvf_drake.certificate import Certificate
+from sgvf_drake.experiments import as_flown
 from sgvf_drake.export import C_FILES
+from sgvf_drake.export.onnx import Session
 from sgvf_drake.fields.storage import field_digest
 from sgvf_drake.paths.itinerary import successors
 from systems import FieldForSpeed
@@ -16,7 +21,7 @@ def test_c_code(run, trained, flight_field, tmp_path, capsys):
     assert run("export", trained, "--to", "c", "--out", out) == 0
     assert names_in(out) == {"summary.json", *C_FILES}
     summary = summary_of(out)
-    assert (summary["target"], summary["precision"]) == ("c", "mixed")
+    assert (summary["to"], summary["precision"]) == ("c", "mixed")
     assert summary["digest"] == field_digest(flight_field)
     assert f'"{summary["digest"]}"' in (out / "field.h").read_text()
     shown = capsys.readouterr()
@@ -57,12 +62,60 @@ def test_results_are_replaced_only_when_asked(run, refused, trained, tmp_path):
     assert summary_of(tmp_path)["precision"] == "float"
 
 
+def test_graphs_of_a_field_as_it_is_flown(run, trained, tmp_path, capsys, flight_field):
+    out = tmp_path / "out"
+    arguments = ("export", trained, "--to", "onnx", "--speed", 0.45, "--out", out)
+    assert run(*arguments, "--precision", "float") == 0
+    assert names_in(out) == {"summary.json", "field.onnx", "field_jacobian.onnx"}
+    summary = summary_of(out)
+    assert (summary["to"], summary["precision"], summary["speed"]) == ("onnx", "float", 0.45)
+    assert summary["files"]["field_jacobian.onnx"]["outputs"] == ["m", "jacobian"]
+    flown = as_flown(flight_field, 0.45)
+    x = flight_field.cloud.points[::20] + 0.05
+    (m,) = Session(onnx.load(out / "field.onnx"))(x)
+    np.testing.assert_allclose(m, flown(x), atol=1e-4)
+    assert np.abs(m - flight_field(x)).max() > 0.01
+    shown = capsys.readouterr().out
+    assert "field_jacobian.onnx" in shown
+    assert shown.endswith(f"results in {out}\n")
+    # Nothing is replaced unless it is asked for.
+    assert run(*arguments) == 2
+    assert run(*arguments, "--overwrite") == 0
+    assert summary_of(out)["precision"] == "double"
+
+
+def test_a_certificate_that_says_nothing_of_the_export_is_told(
+    run, trained, tmp_path, capsys, flight_field
+):
+    certificate = Certificate(
+        certified=True, reason="", field_digest=field_digest(flight_field)
+    )
+    certificate.save(tmp_path / "certificate.json")
+    options = ("export", trained, "--to", "onnx", "--certificate", tmp_path, "--precision")
+    assert run(*options, "int8", "--out", tmp_path / "out") == 1
+    told = "nothing bounds the errors of int8"
+    assert told in capsys.readouterr().out.replace("\n", " ")
+    assert told in summary_of(tmp_path / "out")["certificate"]["reason"]
+    (note,) = (
+        part.value
+        for part in onnx.load(tmp_path / "out" / "field.onnx").metadata_props
+        if part.key == "certificate"
+    )
+    assert told in note
+    # Its score is the closed form.
+    assert run(*options, "float", "--out", tmp_path / "float") == 2
+    assert "closed-form score" in capsys.readouterr().err
+    assert names_in(tmp_path) == {"certificate.json", "out"}
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--to", "fortran"), "--to cannot be 'fortran'; it is one of c"),
+        (("--to", "fortran"), "--to cannot be 'fortran'; it is one of c, onnx"),
         (("--to", "c", "--precision", "half"), "precision cannot be 'half'"),
         (("--to", "c", "--route", "1"), "the field is no directed one; it has no routes"),
+        (("--to", "onnx", "--precision", "half"), "--precision cannot be 'half'"),
+        (("--to", "onnx", "--route", "1"), "--route is for --to c"),
     ],
 )
 def test_bad_options(refused, trained, tmp_path, options, message):
