@@ -28,7 +28,7 @@ from sgvf_drake.certificate.expansions import COSINE, SINE, find_expansion
 from sgvf_drake.certificate.field_model import TAYLOR, Algebra, PerturbedField, compose
 from sgvf_drake.certificate.kernels import SLACK
 from sgvf_drake.certificate.kernels import UNIT as DOUBLE
-from sgvf_drake.certificate.network_model import affine
+from sgvf_drake.certificate.network_model import model_layer
 from sgvf_drake.certificate.patches import Patches
 from sgvf_drake.certificate.taylor_model import (
     Differentiable,
@@ -219,7 +219,7 @@ def _pass(
         arithmetic: That of the machine.
     """
     before = _of_sums(units.magnitude + error, layer, arithmetic)
-    sums = affine(units, layer.weight, layer.bias)[0]
+    sums = model_layer(units, layer.weight, layer.bias)
     error = (1 + SLACK * error.shape[1]) * (error @ np.abs(layer.weight).T) + before
     width = len(layer.bias) // len(functions)
     models, slopes, spreads = [], [], []

@@ -147,6 +147,11 @@ def model_network(
     return TaylorModel.over_all([_model(prepared, some, held) for some in _in_chunks(patches)])
 
 
+def model_layer(units: TaylorModel, weight: FloatArray, bias: FloatArray) -> TaylorModel:
+    """Returns the models of weight units + bias, (n, outputs)."""
+    return _mapped(_Affine.of(weight, bias), _Units.of(units))[0]
+
+
 def _in_chunks(patches: Patches) -> Iterator[Patches]:
     """Yields patches, about as many each time."""
     count = max(-(-len(patches) // CHUNK), 1)

@@ -2,11 +2,11 @@
 
 from collections.abc import Sequence
 from functools import cache
+from importlib.metadata import version
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
-import sgvf_drake
 from sgvf_drake.exceptions import ConfigurationError, OutputExistsError
 from sgvf_drake.export.c_field import FieldCode
 from sgvf_drake.export.c_laws import laws_constants
@@ -95,7 +95,7 @@ def _render(
         **code.constants,
         **CONSTANTS,
         **laws_constants(),
-        "version": sgvf_drake.__version__,
+        "version": version("sgvf-drake"),
         "frame": _frame(field),
         "certificate": certificate,
         "digest": digest,
