@@ -25,17 +25,17 @@ export MPLBACKEND ?= Agg
 # Material for MkDocs advertises its successor at every build.
 export NO_MKDOCS_2_WARNING := 1
 
-.PHONY: demo test test-full test-data browser check docs format clean
+.PHONY: demo test test-full test-data browser compiler check docs format wheel clean
 .PHONY: bench bench-learning bench-paths bench-networks
 
 demo: $(VENV)/.run-time
 	$(BIN)/sgvf demo --out demo --overwrite
 
-test: $(VENV)/.development browser
+test: $(VENV)/.development browser compiler
 	$(TEST) -m "not benchmark and not full"
 
 # With what takes long: run it before an issue is called done.
-test-full: $(VENV)/.development browser
+test-full: $(VENV)/.development browser compiler
 	$(TEST) -m "not benchmark"
 
 # Trains the fields anew that the tests read: for a recipe that has changed on purpose.
@@ -46,6 +46,11 @@ test-data: $(VENV)/.development
 browser:
 	command -v chromium >/dev/null || $(AS_ROOT) sh -c "apt-get update -qq && \
 		DEBIAN_FRONTEND=noninteractive apt-get install -y -qq chromium"
+
+# Fields that are exported as C are compiled by the tests.
+compiler:
+	command -v gcc >/dev/null || $(AS_ROOT) sh -c "apt-get update -qq && \
+		DEBIAN_FRONTEND=noninteractive apt-get install -y -qq gcc libc6-dev"
 
 check: $(VENV)/.development
 	$(BIN)/ruff format --check .
@@ -61,6 +66,23 @@ docs: $(VENV)/.development
 format: $(VENV)/.development
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
+
+# What would be published: sdist and wheel in dist/, checked.  Then the wheel goes into an empty
+# environment, where a type checker has to see its types and the README has to run.
+TRIAL := build/wheel
+wheel:
+	rm -rf dist $(TRIAL)
+	$(PYTHON) -m venv $(TRIAL)/tools
+	$(TRIAL)/tools/bin/python -m pip install --quiet --disable-pip-version-check build cffconvert mypy twine
+	$(TRIAL)/tools/bin/cffconvert --validate
+	$(TRIAL)/tools/bin/python -m build --outdir dist
+	$(TRIAL)/tools/bin/twine check --strict dist/*
+	$(PYTHON) -m venv $(TRIAL)/empty
+	$(TRIAL)/empty/bin/python -m pip install --quiet --disable-pip-version-check \
+		$(CONSTRAINTS_$(VERSIONS)) dist/*.whl
+	cd $(TRIAL) && tools/bin/mypy --strict --config-file= --python-executable empty/bin/python \
+		$(CURDIR)/tests/distribution/program.py
+	$(TRIAL)/empty/bin/python -I tests/distribution/quickstart.py
 
 bench: $(VENV)/.development
 	$(BIN)/python -m pytest -m benchmark -s --durations=0

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from sgvf_drake.lyapunov import LyapunovFunction, find_singularities, verify
     from sgvf_drake.paths.finding import find_paths
 
-__version__ = "0.1.0"
+__version__ = "0.1.0.dev0"
 
 # What is imported on its first use, and from where.
 _LATER = {

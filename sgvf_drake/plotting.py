@@ -73,10 +73,12 @@ def mark(label: str, marker: str = "", color: str = "black", **style: Any) -> Li
     return Line2D([], [], ls=line, marker=marker, color=color, label=label, **style)
 
 
-def plane_axes(axes: Axes, unit: str = "", title: str = "") -> None:
+def plane_axes(
+    axes: Axes, unit: str = "", title: str = "", names: tuple[str, str] = ("x", "y")
+) -> None:
     """Labels the axes of a plane and makes its aspect equal."""
-    suffix = f" [{unit}]" if unit else ""
-    axes.set(xlabel=f"x{suffix}", ylabel=f"y{suffix}", title=title, aspect="equal")
+    x, y = (f"{name} [{unit}]" if unit else name for name in names)
+    axes.set(xlabel=x, ylabel=y, title=title, aspect="equal")
 
 
 def plot_field(axes: Axes, field: Field, box: Box) -> Sequence[Artist]:

@@ -6,6 +6,7 @@ import numpy as np
 
 from sgvf_drake.clouds import PointCloud
 from sgvf_drake.fields import (
+    DirectedField,
     FourierFeatures,
     GaussianMixture,
     GuidingField,
@@ -13,6 +14,8 @@ from sgvf_drake.fields import (
     Perceptron,
     RobustComposition,
     ScoreNetwork,
+    StrandMixture,
+    StrandNetwork,
 )
 from tests.helpers import circle
 
@@ -69,6 +72,44 @@ def random_field(recipe, dim=2, seed=0, sigma=0.4, gain=0.8, ends=0, support=0):
         support=other if support else None,
         end_points=cloud.points[:ends] if ends else None,
         provenance={"training": {"iterations": 7, "hidden": [9, 8]}},
+    )
+
+
+DIRECTED_SIGMA = 0.4
+DIRECTED_KINDS = ("one-way", "two-way", "both", "learned one-way", "learned two-way")
+
+
+def random_strands(kind, dim):
+    """Strands of one of the kinds, untrained."""
+    rng = np.random.default_rng(1)
+    if kind.startswith("learned"):
+        features = FourierFeatures(rng.normal(size=(8, dim)), rng.normal(size=8), passed=dim)
+        widths = [features.num_outputs, 12, 12, 2 * dim]
+        weights = tuple(rng.normal(size=(b, a)) / np.sqrt(a) for a, b in pairwise(widths))
+        biases = tuple(rng.normal(size=width) for width in widths[1:])
+        network = Perceptron(weights, biases, features)
+        return StrandNetwork(network, DIRECTED_SIGMA, two_way=kind.endswith("two-way"))
+    points = rng.uniform(-1, 1, (30, dim))
+    directions = rng.normal(size=(30, dim))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    one_way = {"one-way": np.ones(30, bool), "two-way": np.zeros(30, bool)}.get(
+        kind, np.arange(30) < 12
+    )
+    return StrandMixture(points, directions, one_way, DIRECTED_SIGMA)
+
+
+def random_directed_field(kind, dim, ends=False):
+    """A directed field of such strands, off the origin and the unit."""
+    rng = np.random.default_rng(2)
+    cloud = PointCloud(rng.uniform(-3, 5, (40, dim)))
+    return DirectedField(
+        cloud=cloud,
+        sigma=DIRECTED_SIGMA,
+        composition=RobustComposition(2 * DIRECTED_SIGMA, DIRECTED_SIGMA),
+        recipe="exact",
+        seed=3,
+        end_points=cloud.points[:2] if ends else None,
+        strands=random_strands(kind, dim),
     )
 
 

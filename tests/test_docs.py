@@ -33,6 +33,7 @@ PAGES = {
     "sgvf_drake.learning": "api/learning.html",
     "sgvf_drake.lyapunov": "api/lyapunov.html",
     "sgvf_drake.certificate": "api/certificate.html",
+    "sgvf_drake.export": "api/export.html",
     "sgvf_drake.experiments": "api/experiments.html",
 }
 WRITTEN = [

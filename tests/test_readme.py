@@ -17,7 +17,7 @@ from tests.helpers import circle
 ROOT = Path(__file__).parents[1]
 COMMANDS = {
     *("paths", "train", "import", "follow", "fly", "montecarlo", "verify", "certify"),
-    *("singularities", "demo", "run", "reproduce"),
+    *("singularities", "export", "demo", "run", "reproduce"),
 }
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
 
@@ -139,13 +139,14 @@ def test_results_are_named_as_they_are_written():
     from sgvf_drake.experiments.runs import FOLLOW_FILES, TOUR_FILES, TRAIN_FILES
     from sgvf_drake.experiments.singularities import SINGULARITIES_FILES
     from sgvf_drake.experiments.verify import VERIFY_FILES
+    from sgvf_drake.export import C_FILES
     from sgvf_drake.paper.reproduce import REPORT
     from sgvf_drake.paper.running import SCENARIO_FILE, TRIALS
 
     written = (
         *(*TRAIN_FILES, *FOLLOW_FILES, *TOUR_FILES),
         *(*IMPORT_FILES, *VERIFY_FILES, *SINGULARITIES_FILES),
-        *(REPORT, SCENARIO_FILE, TRIALS),
+        *(*C_FILES, REPORT, SCENARIO_FILE, TRIALS),
     )
     for name in (*written, "flight_N.parquet", "waypoints.csv"):
         assert f"`{name}`" in TEXT, name

@@ -13,10 +13,16 @@ What is **excluded** are the other sets: around zeros, and what leads there.  Wh
 all over one, the points that stay in it for ever are of measure zero, because m carries them
 into themselves and their area would grow.  So almost every robot leaves it.  Where robots go
 does not change if m is multiplied by a positive function, so that of `direction_model` will do.
+
+Walks along a slanted line that leads to a saddle go astray over squares beside it.  So `fences`
+are laid around such lines, into which no robot comes from outside.  Who is outside walks on
+squares that are not all within a fence; who is within for good, on those that are not all
+outside.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import count
 from typing import Any
 
@@ -27,11 +33,24 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components
 from sgvf_drake.arrays import BoolArray, FloatArray, IntArray
 from sgvf_drake.certificate.boxes import Boxes
 from sgvf_drake.certificate.cells import SIDES, UNIT, Cells
-from sgvf_drake.certificate.field_model import direction_dual, direction_model, has_dual
+from sgvf_drake.certificate.fence_search import FINE, find_fences
+from sgvf_drake.certificate.fences import Fence, Fenced, Fences
+from sgvf_drake.certificate.field_model import (
+    PerturbedField,
+    direction_dual,
+    direction_model,
+    has_dual,
+)
 from sgvf_drake.certificate.kernels import SLACK
+from sgvf_drake.certificate.taylor_model import TaylorModel
 from sgvf_drake.certificate.walls import Walls
 from sgvf_drake.fields import GuidingField
 from sgvf_drake.progress import Progress, no_progress
+
+PlanarField = GuidingField | PerturbedField
+
+Ask = Callable[[Boxes], FloatArray]
+"""From squares to a fact of each (n,)."""
 
 # Directions u that are tried.
 ANGLES = np.linspace(0, 2 * np.pi, 32, endpoint=False)
@@ -39,7 +58,8 @@ DIRECTIONS = np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1)
 # What is known of m on a square, but for a positive factor: of its part across each of `SIDES`,
 # along the axis of that, at least and at most; and of m . u for each direction, at least.
 LEAST, MOST, ALONG = slice(0, 4), slice(4, 8), slice(8, 8 + len(DIRECTIONS))
-# And whether div m > 0 on it, 1 or 0: asked where robots may stay.
+# And div m, at least; after that, how fast m leads away from each closed fence (`_away`).  Both
+# are asked where robots may stay.
 GROWS = ALONG.stop
 # Squares that are asked about at once.
 CHUNK = 1000
@@ -81,6 +101,7 @@ class Basin:
 
     Attributes:
         cells: Squares that cover it.
+        fences: Fences that robots cross outward alone.
         comes: (n,) whether every robot from a square comes between the walls.
         area: The part of the box that these make up.
         almost: The part from which almost every robot comes there.
@@ -89,6 +110,7 @@ class Basin:
     """
 
     cells: Cells
+    fences: tuple[Fence, ...]
     comes: BoolArray
     area: float
     almost: float
@@ -102,32 +124,53 @@ class _Known:
 
     Attributes:
         cells: The squares.
+        fenced: How they lie to fences.
         goal: (n,) which are between walls.
-        facts: (n, 9 + u) of the others; NaN of these, and where nothing was asked yet.
+        facts: (n, 9 + u + f) of the others; NaN of these, and where nothing was asked yet.
     """
 
     cells: Cells
+    fenced: Fenced
     goal: BoolArray
     facts: FloatArray
 
     @classmethod
-    def of(cls, field: GuidingField, cells: Cells, walls: Sequence[Walls]) -> "_Known":
+    def of(
+        cls, field: PlanarField, cells: Cells, walls: Sequence[Walls], fences: Fences
+    ) -> "_Known":
         """Finds out about squares."""
         boxes, goal = cells.boxes, np.zeros(len(cells), bool)
         for one in walls:
             goal |= one.hold(boxes)[0]
-        facts, asked = np.full((len(cells), 1 + GROWS), np.nan), boxes[~goal]
+        facts = np.full((len(cells), 1 + GROWS + len(fences.closed)), np.nan)
+        asked = boxes[~goal]
         chunks = (asked[first : first + CHUNK] for first in range(0, len(asked), CHUNK))
         facts[~goal, :GROWS] = np.concatenate(
             [np.empty((0, GROWS)), *(facts_of(field, chunk) for chunk in chunks)]
         )
-        return cls(cells, goal, facts)
+        return cls(cells, fences.around(boxes), goal, facts)
 
-    def growing(self, field: GuidingField, rows: BoolArray) -> BoolArray:
-        """Tells on which of some squares (n,) div m > 0; each is asked once."""
-        unknown = rows & np.isnan(self.facts[:, GROWS])
-        self.facts[unknown, GROWS] = _grows(field, self.cells[unknown].boxes)
-        return rows & (self.facts[:, GROWS] == 1)
+    def beside(self, fences: Fences) -> "_Known":
+        """Returns the same with other fences."""
+        facts = np.full((len(self.cells), 1 + GROWS + len(fences.closed)), np.nan)
+        facts[:, : 1 + GROWS] = self.facts[:, : 1 + GROWS]
+        return _Known(self.cells, fences.around(self.cells.boxes), self.goal, facts)
+
+    def asked(self, rows: BoolArray, column: int, ask: Ask) -> FloatArray:
+        """Returns facts (n,) that are asked of some squares (n,) alone, and of each once."""
+        unknown = rows & np.isnan(self.facts[:, column])
+        boxes = self.cells[unknown].boxes
+        chunks = (boxes[first : first + CHUNK] for first in range(0, len(boxes), CHUNK))
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            found = [np.empty(0), *(ask(chunk) for chunk in chunks)]
+        self.facts[unknown, column] = np.concatenate(found)
+        return self.facts[:, column]
+
+    def growing(self, field: PlanarField, rows: BoolArray) -> BoolArray:
+        """Tells on which of some squares (n,) div m > 0."""
+        if not has_dual(field):
+            return np.zeros_like(rows)
+        return rows & (self.asked(rows, GROWS, partial(_divergence, field)) > 0)
 
     @property
     def evaluated(self) -> int:
@@ -138,12 +181,13 @@ class _Known:
         """Returns what is known of these squares, but for other ones in the place of some."""
         return _Known(
             self.cells[~rows].joined(other.cells),
+            self.fenced.replaced(rows, other.fenced),
             np.concatenate([self.goal[~rows], other.goal]),
             np.concatenate([self.facts[~rows], other.facts]),
         )
 
 
-def facts_of(field: GuidingField, boxes: Boxes) -> FloatArray:
+def facts_of(field: PlanarField, boxes: Boxes) -> FloatArray:
     """Returns what is known of m on squares, by the columns above, (n, 8 + u)."""
     # What overflows is not above any bound, nor below one.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -156,21 +200,39 @@ def facts_of(field: GuidingField, boxes: Boxes) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class _Graph:
-    """How squares lead to each other.
+    """How some squares lead to each other.
 
     Attributes:
         after: (n, n) which square leads to which; the goal to none.
-        goal: (n,) which are between the walls.
+        rows: (n,) which squares these are.
         out: (n,) which lead out of the box.
         labels: (n,) the set of squares that lead to each other.
         stays: (n,) whether orbits may stay in the set.
     """
 
     after: csr_array
-    goal: BoolArray
+    rows: BoolArray
     out: BoolArray
     labels: IntArray
     stays: BoolArray
+
+    @classmethod
+    def of(cls, known: "_Known", ways: IntArray, out: BoolArray, rows: BoolArray) -> "_Graph":
+        """Returns that of some squares (n,), by the ways (w, 2) between all."""
+        n = len(rows)
+        source, target = ways[rows[ways].all(axis=1)].T
+        after = csr_array((np.ones(len(source), np.int8), (source, target)), shape=(n, n))
+        labels = connected_components(after, directed=True, connection="strong")[1]
+        stays = ~_above_zero(labels, known.facts[:, ALONG]) & ~known.goal & rows
+        return cls(after, rows, out & rows, labels, stays)
+
+    def going_away(self, field: PlanarField, known: "_Known", fences: Fences) -> "_Graph":
+        """Returns the same without the sets in which robots go away from inside a fence."""
+        stays = self.stays
+        for column, fence in enumerate(fences.closed, GROWS + 1):
+            away = known.asked(stays, column, partial(_away, field, fence))
+            stays = stays & ~_above_zero(self.labels, away[:, None])
+        return replace(self, stays=stays)
 
     def leads_to(self, targets: BoolArray) -> BoolArray:
         """Tells from which squares (n,) a walk leads to one of some."""
@@ -193,6 +255,26 @@ class _Graph:
         return reached[:n]
 
 
+@dataclass(frozen=True, eq=False)
+class _Graphs:
+    """How squares lead to each other, and what that says.
+
+    Attributes:
+        whole: The graph of all.
+        outside: That of the squares that are not all within a fence.
+        inside: That of the squares that are not all outside of fences.
+    """
+
+    whole: _Graph
+    outside: _Graph
+    inside: _Graph
+
+    @property
+    def stays(self) -> BoolArray:
+        """In which squares (n,) robots may stay: for good outside of fences, or within."""
+        return self.outside.stays | self.inside.stays
+
+
 def find_basin(
     field: GuidingField, walls: Sequence[Walls], progress: Progress = no_progress
 ) -> Basin:
@@ -203,43 +285,62 @@ def find_basin(
         walls: Walls that are proved.
         progress: Told how far it is.
     """
-    known, lost = _Known.of(field, _around(walls), walls), 1.0
+    fences, lost, looked = Fences.proved(field, ()), 1.0, False
+    known = _Known.of(field, _around(walls), walls, fences)
     evaluated = known.evaluated
     for number in count():
         progress("cells", min(number, ROUNDS), ROUNDS)
-        graph = _graph(known)
-        divisible = _staying(field, known, graph)
-        if not divisible.any():
-            before, leads = lost, ~graph.goal & graph.leads_to(graph.stays | graph.out)
-            lost = _part_of_box(field, known.cells, leads)
-            divisible = leads & (known.cells.size > 1) & (before - lost > GAIN)
+        graphs = _graphs(field, known, fences)
+        divisible = _staying(field, known, graphs)
+        if not 0 < divisible.sum() <= MOST_AT_ONCE:
+            leads = ~_comes(known, graphs)
+            before, lost = lost, _part_of_box(field, known.cells, leads)
+            if lost > FEW and not looked:
+                looked = True
+                fences = Fences.proved(field, find_fences(field, _places(known, graphs)))
+                known = known.beside(fences)
+                divisible = known.fenced.met & (UNIT * known.cells.size > FINE)
+            else:
+                divisible = leads & ~known.fenced.within & (known.cells.size > 1)
+                divisible &= before - lost > GAIN
         if not 0 < divisible.sum() <= MOST_AT_ONCE:
             break
-        parts = _Known.of(field, known.cells[divisible].quarters(), walls)
+        parts = _Known.of(field, known.cells[divisible].quarters(), walls, fences)
         evaluated += parts.evaluated
         known = known.replaced(divisible, parts)
     progress("cells", ROUNDS, ROUNDS)
-    return replace(_basin(field, known, graph), evaluated=evaluated)
+    return replace(_basin(field, known, graphs, fences), evaluated=evaluated)
 
 
-def _staying(field: GuidingField, known: _Known, graph: _Graph) -> BoolArray:
+def _staying(field: PlanarField, known: _Known, graphs: _Graphs) -> BoolArray:
     """Tells which squares (n,) to divide of those where robots may stay."""
-    found = graph.stays & (known.cells.size > 1)
+    found = graphs.stays & (known.cells.size > 1)
     if _part_of_box(field, known.cells, found) > FEW:
         return found
     return found & ~known.growing(field, found)
 
 
-def prove_basin(field: GuidingField, cells: Cells, walls: Sequence[Walls]) -> Basin:
+def _places(known: _Known, graphs: _Graphs) -> FloatArray:
+    """Returns the middle (n, 2) of each set where robots may stay, normalised."""
+    labels, centers = graphs.whole.labels, known.cells.boxes.centers
+    sets = np.unique(labels[graphs.stays])
+    return np.array([centers[labels == one].mean(axis=0) for one in sets]).reshape(-1, 2)
+
+
+def prove_basin(
+    field: PlanarField, cells: Cells, walls: Sequence[Walls], fences: Sequence[Fence] = ()
+) -> Basin:
     """Proves from which squares robots come between walls.
 
     Args:
         field: The field, in the plane.
         cells: Squares that cover the box.
         walls: Walls that are proved.
+        fences: Fences, proved or not.
     """
-    known = _Known.of(field, cells, walls)
-    return _basin(field, known, _graph(known))
+    proved = Fences.proved(field, fences)
+    known = _Known.of(field, cells, walls, proved)
+    return _basin(field, known, _graphs(field, known, proved), proved)
 
 
 def _around(walls: Sequence[Walls]) -> Cells:
@@ -257,7 +358,18 @@ def _around(walls: Sequence[Walls]) -> Cells:
     return cells
 
 
-def _graph(known: _Known) -> _Graph:
+def _graphs(field: PlanarField, known: _Known, fences: Fences) -> _Graphs:
+    ways, out = _ways(known)
+    fenced = known.fenced
+    whole, outside, inside = (
+        _Graph.of(known, ways, out, rows)
+        for rows in (np.ones_like(out), ~fenced.within, fenced.touched)
+    )
+    return _Graphs(whole, outside.going_away(field, known, fences), inside)
+
+
+def _ways(known: _Known) -> tuple[IntArray, BoolArray]:
+    """Returns which squares lead to which (w, 2), and which (n,) out of the box."""
     cells, facts, goal = known.cells, known.facts, known.goal
     n = len(cells)
     source, target, may = [], [], []
@@ -277,37 +389,42 @@ def _graph(known: _Known) -> _Graph:
     ways, first = np.unique(ways[order], return_index=True)
     ways = ways[np.logical_and.reduceat(np.concatenate(may)[order], first)]
     ways = ways[~goal[ways // n]]
-    after = csr_array((np.ones(len(ways), np.int8), (ways // n, ways % n)), shape=(n, n))
-    labels = connected_components(after, directed=True, connection="strong")[1]
-    return _Graph(after, goal, out, labels, ~_moves(labels, facts)[labels] & ~goal)
+    return np.column_stack([ways // n, ways % n]), out
 
 
-def _moves(labels: IntArray, facts: FloatArray) -> BoolArray:
-    """Tells of which sets there is a u with m . u > 0 on all of their squares."""
+def _comes(known: _Known, graphs: _Graphs) -> BoolArray:
+    """Tells from which squares (n,) every robot comes between walls."""
+    outside, fenced = graphs.outside, known.fenced
+    lost = outside.leads_to(outside.stays | outside.out | fenced.at_gate)
+    return known.goal | ~(lost | fenced.touched)
+
+
+def _above_zero(labels: IntArray, facts: FloatArray) -> BoolArray:
+    """Tells which squares (n,) are of a set on which one of the facts (n, f) is above zero."""
     order = np.argsort(labels, kind="stable")
     first = np.searchsorted(labels[order], np.arange(labels.max() + 1))
-    least = np.minimum.reduceat(facts[order, ALONG], first, axis=0)
+    least = np.minimum.reduceat(facts[order], first, axis=0)
     # NaN is not above zero.
-    return np.asarray((least > 0).any(axis=1))
+    return np.any(least > 0, axis=1)[labels]
 
 
-def _basin(field: GuidingField, known: _Known, graph: _Graph) -> Basin:
-    """Returns what a graph says of the box."""
-    cells, grows = known.cells, known.growing(field, graph.stays)
-    numbers, of_set = np.unique(graph.labels[graph.stays], return_inverse=True)
-    left = np.bincount(of_set, ~grows[graph.stays]) == 0
-    never = graph.stays.copy()
-    never[graph.stays] = ~left[of_set]
-    comes = graph.goal | ~graph.leads_to(graph.stays | graph.out)
-    almost = graph.goal | ~graph.leads_to(never | graph.out)
-    x, y = field.cloud.denormalize(cells.boxes.centers).T
-    excluded = []
-    for number, is_left in zip(numbers, left, strict=True):
-        one = graph.labels == number
-        center = (float(x[one].mean()), float(y[one].mean()))
-        excluded.append(ExcludedSet(center, _part_of_box(field, cells, one), bool(is_left)))
+def _basin(field: PlanarField, known: _Known, graphs: _Graphs, fences: Fences) -> Basin:
+    """Returns what graphs say of the box."""
+    cells, grows = known.cells, known.growing(field, graphs.stays)
+    never, excluded = np.zeros(len(cells), bool), []
+    for graph in (graphs.outside, graphs.inside):
+        for number in np.unique(graph.labels[graph.stays]):
+            one = graph.labels == number
+            is_left = bool(grows[one].all())
+            never[one] = not is_left
+            x, y = field.cloud.denormalize(cells.boxes.centers[one]).mean(axis=0).tolist()
+            area = _part_of_box(field, cells, one)
+            excluded.append(ExcludedSet((x, y), area, is_left))
+    comes = _comes(known, graphs)
+    almost = comes | known.goal | ~graphs.whole.leads_to(never | graphs.whole.out)
     return Basin(
         cells,
+        fences.fences,
         comes,
         _part_of_box(field, cells, comes),
         _part_of_box(field, cells, almost),
@@ -316,19 +433,24 @@ def _basin(field: GuidingField, known: _Known, graph: _Graph) -> Basin:
     )
 
 
-def _grows(field: GuidingField, boxes: Boxes) -> BoolArray:
-    """Tells on which squares (n,) div m > 0, of m times a positive function."""
-    if not has_dual(field):
-        return np.zeros(len(boxes), bool)
-    chunks = (boxes[first : first + CHUNK] for first in range(0, len(boxes), CHUNK))
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        lower = [
-            direction_dual(field, chunk.patches).divergence.lower[:, 0] for chunk in chunks
-        ]
-    return np.concatenate(lower) > 0 if lower else np.zeros(0, bool)
+def _divergence(field: PlanarField, boxes: Boxes) -> FloatArray:
+    """Returns what div m is on squares (n,) at least, of m times a positive function."""
+    return direction_dual(field, boxes.patches).divergence.lower[:, 0]
 
 
-def _part_of_box(field: GuidingField, cells: Cells, rows: BoolArray) -> float:
+def _away(field: PlanarField, fence: Fence, boxes: Boxes) -> FloatArray:
+    """Returns how fast m leads away from the middle of a fence on squares (n,), at least.
+
+    That is m . Q (z - c), by `Fence.ellipse`, of m times a positive function.
+    """
+    center, Q = fence.ellipse
+    off = TaylorModel.position(boxes.patches).shifted(-center)
+    outward = [off.weighted(np.broadcast_to(row, off.value.shape)) for row in Q]
+    m = direction_model(field, boxes.patches)
+    return m.dot(outward[0].joined(*outward[1:])).lower[:, 0]
+
+
+def _part_of_box(field: PlanarField, cells: Cells, rows: BoolArray) -> float:
     """Returns the part of the field's box that some squares make up."""
     lower, upper = (field.cloud.normalize(corner) for corner in field.cloud.box)
     area = cells.areas_in(lower, upper)[rows].sum() / np.prod(upper - lower)

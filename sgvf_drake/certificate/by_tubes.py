@@ -76,9 +76,10 @@ def prove_by_tubes(
     return replace(
         certificate,
         reason=(
-            f"robots from {_floor(basin.area)} of the box, and almost all robots from "
-            f"{_floor(basin.almost)}, come to a tube and follow its piece"
+            f"robots from {floor(basin.area)} of the box, and almost all robots from "
+            f"{floor(basin.almost)}, come to a tube and follow its piece"
         ),
+        fences=basin.fences,
         cells=basin.cells.code,
         area_fraction=basin.area,
         almost_fraction=basin.almost,
@@ -86,7 +87,7 @@ def prove_by_tubes(
     )
 
 
-def _floor(part: float) -> str:
+def floor(part: float) -> str:
     """Returns a part in per cent, never more than it is."""
     return f"{math.floor(1e3 * part) / 10:.1f} %"
 

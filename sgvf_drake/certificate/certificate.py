@@ -7,6 +7,7 @@ from typing import Any
 from sgvf_drake.certificate.basin import ExcludedSet
 from sgvf_drake.certificate.cells import Cells
 from sgvf_drake.certificate.document import Document, bounds_hold
+from sgvf_drake.certificate.fences import Fence
 from sgvf_drake.certificate.levels import Conditions, Levels
 from sgvf_drake.certificate.tube import Tube
 from sgvf_drake.certificate.vehicle_claim import VehicleResult
@@ -67,6 +68,7 @@ class Certificate(Document):
         walls: The walls around each of these, between which all comes to it; None: there are
             none, as of open pieces and in space.
         orbit_half_width: Largest distance between the thin tubes and the path, at most.
+        fences: Fences that robots cross outward alone, for the squares.
         cells: The code of the squares that the box was divided into; None, as the following:
             from where robots come between walls was not asked.
         area_fraction: Part of the box from which every robot comes between walls, at least.
@@ -86,6 +88,7 @@ class Certificate(Document):
     tubes: tuple[Tube | None, ...] = ()
     walls: tuple[Walls | None, ...] = ()
     orbit_half_width: float | None = None
+    fences: tuple[Fence, ...] = ()
     cells: str | None = None
     area_fraction: float | None = None
     almost_fraction: float | None = None
@@ -122,6 +125,7 @@ class Certificate(Document):
                 **body,
                 "tubes": tuple(tube and Tube.of(tube) for tube in body["tubes"]),
                 "walls": tuple(walls and Walls.of(walls) for walls in body["walls"]),
+                "fences": tuple(map(Fence.of, body["fences"])),
                 "excluded": tuple(map(ExcludedSet.of, body["excluded"])),
                 "levels": None if levels is None else Levels.of(levels),
                 "vehicle": None if vehicle is None else VehicleResult.of(vehicle),
@@ -135,10 +139,7 @@ class Certificate(Document):
 
         On other machines the last bits of bounds differ.
         """
-        mine, claimed = (
-            (one.certified, one.tubes, one.walls, one.cells, _conditions(one), _kinds(one))
-            for one in (self, other)
-        )
+        mine, claimed = ((*_parts(one), _conditions(one), _kinds(one)) for one in (self, other))
         if mine != claimed:
             return False
         compared: list[tuple[Any, Any, tuple[str, ...], tuple[str, ...]]] = [
@@ -156,6 +157,11 @@ class Certificate(Document):
     def refused(self, reason: str) -> "Certificate":
         """Returns the same as not certified, with a reason before its own."""
         return replace(self, certified=False, reason=f"{reason}; {self.reason}")
+
+
+def _parts(certificate: Certificate) -> tuple[Any, ...]:
+    one = certificate
+    return one.certified, one.tubes, one.walls, one.fences, one.cells
 
 
 def _conditions(certificate: Certificate) -> Conditions | None:

@@ -8,12 +8,12 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from sgvf_drake.arrays import FloatArray
-from sgvf_drake.certificate.basin import Basin, find_basin, prove_basin
+from sgvf_drake.certificate.basin import Basin, PlanarField, find_basin, prove_basin
 from sgvf_drake.certificate.boxes import Boxes, BoxSizes
-from sgvf_drake.certificate.by_tubes import ProposeTube, ProveBasin, prove_by_tubes
+from sgvf_drake.certificate.by_tubes import ProposeTube, prove_by_tubes
 from sgvf_drake.certificate.cells import Cells
 from sgvf_drake.certificate.certificate import Certificate
-from sgvf_drake.certificate.field_model import model_field
+from sgvf_drake.certificate.field_model import BoundedField, model_field
 from sgvf_drake.certificate.kernels import check_rounding
 from sgvf_drake.certificate.level_search import find_levels
 from sgvf_drake.certificate.levels import LevelsProof, prove_levels
@@ -89,9 +89,19 @@ def certify(
 
 
 def check(
-    certificate: Certificate, field: GuidingField, reference: ReferencePath | None = None
+    certificate: Certificate,
+    field: GuidingField,
+    reference: ReferencePath | None = None,
+    *,
+    progress: Progress = no_progress,
 ) -> Certificate:
     """Proves a certificate anew from what it holds, without a search.
+
+    Args:
+        certificate: What is claimed.
+        field: The field.
+        reference: As of `certify`.
+        progress: Told how far it is.
 
     Returns:
         What was proved; it is certified where it is as strong as what was claimed.
@@ -106,12 +116,20 @@ def check(
         raise ConfigurationError("the certificate certifies nothing")
     check_rounding()
     reference = field.path if reference is None else reference
-    known, prove = _claimed(certificate, field)
+    count = len(reference.pieces)
+
+    def prove(walls: Sequence[Walls]) -> Basin | None:
+        progress("tubes and walls", count, count)
+        return prove_squares(certificate, field, walls, progress)
+
+    known = known_tubes(certificate, field, progress)
     with threadpool_limits(**ONE_THREAD):
         found = prove_by_tubes(field, reference, known, prove)
         if certificate.levels is not None:
+            progress("levels", 0, 1)
             proof = prove_levels(field, certificate.levels.conditions, reference)
             found = _with_levels(found, proof)
+            progress("levels", 1, 1)
         if (claimed := certificate.vehicle) is not None:
             proposals = [None if piece is None else piece.proposal for piece in claimed.pieces]
             found = with_vehicle(
@@ -122,10 +140,14 @@ def check(
     return found
 
 
-def _claimed(certificate: Certificate, field: GuidingField) -> tuple[ProposeTube, ProveBasin]:
-    """Returns what gives the tubes, the walls and the cells of a certificate, proved."""
+def known_tubes(
+    certificate: Certificate, field: BoundedField, progress: Progress = no_progress
+) -> ProposeTube:
+    """Returns what gives the tubes and the walls of a certificate, proved of a field."""
+    count = len(certificate.tubes)
 
     def known(piece: int, _: FloatArray) -> FoundTube | None:
+        progress("tubes and walls", piece, count)
         if piece >= min(len(certificate.tubes), len(certificate.walls)):
             return None
         tube, walls = certificate.tubes[piece], certificate.walls[piece]
@@ -137,12 +159,22 @@ def _claimed(certificate: Certificate, field: GuidingField) -> tuple[ProposeTube
         found = prove_walls(field, tube, walls)
         return FoundTube(tube, proof, walls if found.proved == len(walls) else None, found)
 
-    def prove(walls: Sequence[Walls]) -> Basin | None:
-        if certificate.cells is None or not walls:
-            return None
-        return prove_basin(field, Cells.of(certificate.cells), walls)
+    return known
 
-    return known, prove
+
+def prove_squares(
+    certificate: Certificate,
+    field: PlanarField,
+    walls: Sequence[Walls],
+    progress: Progress = no_progress,
+) -> Basin | None:
+    """Returns what is proved of the squares of a certificate, beside walls that are proved."""
+    if certificate.cells is None or not walls:
+        return None
+    progress("cells", 0, 1)
+    basin = prove_basin(field, Cells.of(certificate.cells), walls, certificate.fences)
+    progress("cells", 1, 1)
+    return basin
 
 
 def with_vehicle(

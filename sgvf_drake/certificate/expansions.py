@@ -140,6 +140,13 @@ def _cosine(u: FloatArray) -> Jet:
     return cosine, -np.sin(u), -cosine
 
 
+def _waves(u: FloatArray) -> Jet:
+    angles, _ = np.split(u, 2, axis=-1)
+    sine, cosine = np.sin(angles), np.cos(angles)
+    value = np.concatenate([sine, cosine], axis=-1)
+    return value, np.concatenate([cosine, -sine], axis=-1), -value
+
+
 def _fall(y: FloatArray) -> Jet:
     fourth = y**4
     value = 1 / (1 + fourth)
@@ -153,6 +160,8 @@ SINE = Smooth(
 COSINE = Smooth(
     _cosine, -1.0, 1.0, 1.0, higher=lambda u: (np.sin(u), np.cos(u)), bounds=(1.0, 1.0)
 )
+WAVES = Smooth(_waves, -1.0, 1.0, 1.0)
+"""Sines of the first half of functions, and cosines of the second, which is the first again."""
 
 
 def _or_flat(

@@ -1,13 +1,15 @@
 """Guiding fields over patches: models of m from those of its score and its tangent."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from operator import mul
 from typing import Generic
 
 import numpy as np
 
+from sgvf_drake.arrays import FloatArray
 from sgvf_drake.certificate.expansions import (
     DECAY,
     FALL,
@@ -17,10 +19,12 @@ from sgvf_drake.certificate.expansions import (
     SQUASH,
     find_expansion,
 )
+from sgvf_drake.certificate.kernels import SLACK
 from sgvf_drake.certificate.mixture_model import Components
 from sgvf_drake.certificate.network_model import dual_network, model_network
 from sgvf_drake.certificate.patches import Patches
 from sgvf_drake.certificate.taylor_model import Differentiable, DualModel, Model, TaylorModel
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import (
     ComposedField,
@@ -31,6 +35,7 @@ from sgvf_drake.fields import (
     PaperComposition,
     Perceptron,
     RobustComposition,
+    ScoreInducedField,
     ScoreNetwork,
     StrandMixture,
     StrandNetwork,
@@ -46,8 +51,38 @@ from sgvf_drake.fields.rest import Rest
 
 assert PROJECTION_POWER == 8, "FALL is not the projection's power of |S|^2"
 
-BoundedField = ComposedField | HeldField
+ExactField = ComposedField | HeldField
 """The fields of the position alone that are bounded; of directed ones those at a constant g."""
+
+
+@dataclass(frozen=True, eq=False)
+class PerturbedField(ABC):
+    """All functions that are no further from a field than an error, as one field.
+
+    What is proved of it holds for each of them.  Its derivatives are those of the field.
+
+    Attributes:
+        field: m.
+    """
+
+    field: ComposedField
+
+    @property
+    def dim(self) -> int:
+        """The dimension d of the space."""
+        return self.field.dim
+
+    @property
+    def cloud(self) -> PointCloud:
+        """The waypoints."""
+        return self.field.cloud
+
+    @abstractmethod
+    def error(self, patches: Patches) -> FloatArray:
+        """Returns how far a function can be from m over patches, in the norm of R^d, (n,)."""
+
+
+BoundedField = ExactField | PerturbedField
 
 
 @dataclass(frozen=True)
@@ -64,25 +99,30 @@ class Algebra(Generic[Model]):
     network: Callable[[Perceptron, Patches, tuple[float, ...]], Model]
     components: Callable[[Components, Patches], Model]
 
-    def field(self, field: BoundedField, patches: Patches) -> Model:
+    def field(self, field: ExactField, patches: Patches) -> Model:
         """Returns the models of m."""
         S, N = self.score_and_tangent(field, patches)
-        base = field.field if isinstance(field, HeldField) else field
-        m, rest = compose(base.composition, S, N), base.rest
+        return self.composed(
+            field.field if isinstance(field, HeldField) else field, S, N, patches
+        )
+
+    def composed(self, field: ScoreInducedField, S: Model, N: Model, patches: Patches) -> Model:
+        """Returns the models of m, of those of the raw score and of the tangent."""
+        m, rest = compose(field.composition, S, N), field.rest
         if rest is None:
             return m
         away = self._away(rest, patches)
         # Not as m + near (at_rest - m), which would count the remainder of m twice.
         return away * m + _one_less(away) * compose(rest.composition, S, N)
 
-    def direction(self, field: BoundedField, patches: Patches) -> Model:
+    def direction(self, field: ExactField, patches: Patches) -> Model:
         """Returns the models of m times a positive function; where paths end, m itself."""
         base = field.field if isinstance(field, HeldField) else field
         if base.rest is not None:
             return self.field(field, patches)
         return simplify(base.composition, *self.score_and_tangent(field, patches))
 
-    def score_and_tangent(self, field: BoundedField, patches: Patches) -> tuple[Model, Model]:
+    def score_and_tangent(self, field: ExactField, patches: Patches) -> tuple[Model, Model]:
         """Returns the models of the raw score S and of the tangent N as it comes."""
         match field:
             case ComposedField():
@@ -138,6 +178,8 @@ def model_field(field: BoundedField, patches: Patches) -> TaylorModel:
     Raises:
         ConfigurationError: The field is of a kind that nothing here bounds.
     """
+    if isinstance(field, PerturbedField):
+        return _perturbed(TAYLOR.field(field.field, patches), field.error(patches))
     return TAYLOR.field(field, patches)
 
 
@@ -147,7 +189,14 @@ def direction_model(field: BoundedField, patches: Patches) -> TaylorModel:
     Raises:
         ConfigurationError: The field is of a kind that nothing here bounds.
     """
-    return TAYLOR.direction(field, patches)
+    if not isinstance(field, PerturbedField):
+        return TAYLOR.direction(field, patches)
+    exact = field.field
+    if exact.rest is not None:
+        return model_field(field, patches)
+    S, N = TAYLOR.score_and_tangent(exact, patches)
+    error = _largest_factor(exact.composition, S, N) * field.error(patches)
+    return _perturbed(simplify(exact.composition, S, N), error)
 
 
 def direction_dual(field: BoundedField, patches: Patches) -> DualModel:
@@ -156,7 +205,7 @@ def direction_dual(field: BoundedField, patches: Patches) -> DualModel:
     Raises:
         ConfigurationError: The field is of a kind whose derivatives nothing here bounds.
     """
-    return DUAL.direction(field, patches)
+    return DUAL.direction(_exact(field), patches)
 
 
 def dual_field(field: BoundedField, patches: Patches) -> DualModel:
@@ -165,18 +214,32 @@ def dual_field(field: BoundedField, patches: Patches) -> DualModel:
     Raises:
         ConfigurationError: The field is of a kind whose derivatives nothing here bounds.
     """
-    return DUAL.field(field, patches)
+    return DUAL.field(_exact(field), patches)
 
 
 def has_dual(field: BoundedField) -> bool:
     """Whether `dual_field` bounds the derivatives of a field: its activations are smooth."""
     return all(
         isinstance(find_expansion(network.activation.name), Differentiable)
-        for network in _networks(field)
+        for network in _networks(_exact(field))
     )
 
 
-def _networks(field: BoundedField) -> list[Perceptron]:
+def largest_error(field: BoundedField, patches: Patches) -> float:
+    """Returns how far from m functions can be that are meant with a field, over patches."""
+    return float(field.error(patches).max()) if isinstance(field, PerturbedField) else 0.0
+
+
+def _perturbed(model: TaylorModel, error: FloatArray) -> TaylorModel:
+    """Returns models of all functions that are no further from these than an error (n,)."""
+    return replace(model, remainder=(1 + SLACK) * (model.remainder + error[:, None]))
+
+
+def _exact(field: BoundedField) -> ExactField:
+    return field.field if isinstance(field, PerturbedField) else field
+
+
+def _networks(field: ExactField) -> list[Perceptron]:
     match field:
         case HeldField(field=DirectedField(strands=StrandNetwork(network=network))):
             return [network]
@@ -215,6 +278,21 @@ def simplify(composition: Composition, S: Model, N: Model) -> Model:
             ratio = normal.dot(normal).scaled(gain**2).apply(INVERSE_SINHC, least=0.0)
             return normal + ratio.scaled(composition.tangent_share / gain) * v
     return compose(composition, S, N)
+
+
+def _largest_factor(composition: Composition, S: TaylorModel, N: TaylorModel) -> FloatArray:
+    """Returns what `simplify` multiplies m by over patches, at most, (n,)."""
+    match composition:
+        case NormalisedComposition(gain=gain):
+            n = _squashed(S, gain) + N
+            largest = np.sqrt(n.dot(n).shifted(UNIT_SOFTENING**2).upper[:, 0])
+        case RobustComposition(gain=gain) if gain > 0:
+            normal = _normal(composition, S, _direction(N, DIRECTION_SOFTENING))
+            squash = normal.dot(normal).scaled(gain**2).apply(SQUASH, least=0.0).lower[:, 0]
+            largest = np.where(squash > 0, 1 / (gain * squash), np.inf)
+        case _:
+            largest = np.ones(len(S.parts))
+    return np.asarray((1 + SLACK) * largest)
 
 
 def _robust(composition: RobustComposition, S: Model, N: Model) -> Model:

@@ -18,7 +18,7 @@ import numpy as np
 
 from sgvf_drake.arrays import FloatArray
 from sgvf_drake.certificate.expansions import RECIPROCAL
-from sgvf_drake.certificate.field_model import BoundedField, model_field
+from sgvf_drake.certificate.field_model import ExactField, model_field
 from sgvf_drake.certificate.jet_model import jet_field
 from sgvf_drake.certificate.kernels import SLACK
 from sgvf_drake.certificate.taylor_model import TaylorModel
@@ -83,7 +83,7 @@ def region(tube: Tube, walls: Walls, pairs: int) -> Parts:
 
 
 def bound_flown(
-    field: BoundedField,
+    field: ExactField,
     cells: Parts,
     *,
     error: float,
@@ -125,7 +125,7 @@ def bound_flown(
 
 
 def _ask(
-    field: BoundedField,
+    field: ExactField,
     error: float,
     slow: float,
     centre: float,
@@ -144,7 +144,7 @@ def _ask(
 
 
 def _facts(
-    field: BoundedField, parts: Parts, error: float, slow: float, centre: float
+    field: ExactField, parts: Parts, error: float, slow: float, centre: float
 ) -> FloatArray:
     jet = jet_field(field, parts.hulls)
     facts = np.zeros((len(parts), 8))
@@ -226,7 +226,7 @@ def _square(like: TaylorModel, middle: tuple[float, float], half: float) -> Tayl
     return TaylorModel(parts, np.zeros_like(like.remainder))
 
 
-def least_progress(field: BoundedField, cells: Parts) -> float:
+def least_progress(field: ExactField, cells: Parts) -> float:
     """Returns at least how fast m crosses the lines from wall to wall of cells, normalised.
 
     A robot with x' = m + s goes on from section to section where |s| is below that.
@@ -235,7 +235,7 @@ def least_progress(field: BoundedField, cells: Parts) -> float:
     return 0.0 if len(found.open_cells) else float(found.facts.min())
 
 
-def _ask_progress(field: BoundedField, parts: Parts, depth: int) -> Answer:
+def _ask_progress(field: ExactField, parts: Parts, depth: int) -> Answer:
     _, across = parts.columns
     crossed = normal([across]).dot(model_field(field, parts.patches))
     longest = np.linalg.norm([parts.start[:, 1], parts.end[:, 1]], axis=2).max(axis=0)

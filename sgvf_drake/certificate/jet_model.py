@@ -14,7 +14,7 @@ import numpy as np
 
 from sgvf_drake.arrays import FloatArray
 from sgvf_drake.certificate.expansions import COSINE, SINE, find_expansion
-from sgvf_drake.certificate.field_model import Algebra, BoundedField
+from sgvf_drake.certificate.field_model import Algebra, ExactField
 from sgvf_drake.certificate.kernels import SLACK, TINY, UNIT
 from sgvf_drake.certificate.mixture_model import Components
 from sgvf_drake.certificate.network_model import CHUNK, affine
@@ -310,7 +310,7 @@ def _no_components(components: Components, patches: Patches) -> JetModel:
 JET = Algebra(JetModel.position, jet_network, _no_components)  # type: ignore[type-var]
 
 
-def jet_field(field: BoundedField, patches: Patches) -> JetModel:
+def jet_field(field: ExactField, patches: Patches) -> JetModel:
     """Returns the models of m and of its derivatives, by normalised units of length.
 
     Raises:

@@ -15,7 +15,13 @@ from typing import Any
 import numpy as np
 
 from sgvf_drake.certificate.contraction import ROUNDING, rate_of_distances
-from sgvf_drake.certificate.field_model import BoundedField, dual_field, has_dual, model_field
+from sgvf_drake.certificate.field_model import (
+    BoundedField,
+    dual_field,
+    has_dual,
+    largest_error,
+    model_field,
+)
 from sgvf_drake.certificate.patches import Patches
 
 # Cubes along each axis that cover a ball.
@@ -92,5 +98,6 @@ def prove_rest(field: BoundedField, ball: RestBall) -> RestProof:
         at_center = model_field(field, Patches.points(np.array([ball.center]))).magnitude
     if not rate > 0:
         return RestProof(0.0, 0.0, len(cover))
-    inflow = (1 - ROUNDING) * rate * ball.radius - (1 + ROUNDING) * np.linalg.norm(at_center)
+    against = np.linalg.norm(at_center) + largest_error(field, cover)
+    inflow = (1 - ROUNDING) * rate * ball.radius - (1 + ROUNDING) * against
     return RestProof(rate, float(inflow), len(cover) + 1)

@@ -90,6 +90,14 @@ class TaylorModel:
         parts[:, 1 : 1 + k, :d] = np.swapaxes(patches.axes, 1, 2)
         return cls(parts, np.zeros((n, d + len(held))))
 
+    @classmethod
+    def over_all(cls, models: Sequence["TaylorModel"]) -> "TaylorModel":
+        """Returns models over some patches and over others, after each other."""
+        return cls(
+            np.concatenate([model.parts for model in models]),
+            np.concatenate([model.remainder for model in models]),
+        )
+
     def __getitem__(self, rows: BoolArray) -> "TaylorModel":
         """Returns the models over some of the patches."""
         return TaylorModel(self.parts[rows], self.remainder[rows])
@@ -167,13 +175,15 @@ class TaylorModel:
 
     def dot(self, other: "TaylorModel") -> "TaylorModel":
         """Returns the model (n, 1) of the sum of the products of the functions."""
-        return (self * other)._sum()
+        products = self * other
+        return products.weighted(np.ones((1, products.remainder.shape[1])))
 
     def weighted(self, weights: FloatArray) -> "TaylorModel":
-        """Returns the model (n, 1) of the sum of the functions, times weights (n, f)."""
-        size = np.abs(weights)
-        parts = weights[:, None] * self.parts
-        return _rounded(parts, size * self.remainder, size * self.magnitude)._sum()
+        """Returns the model (n, 1) of the sum of the functions, times weights (n or 1, f)."""
+        weights = np.ascontiguousarray(weights, dtype=float)
+        return TaylorModel(
+            *kernels.weighted_sum(self.parts, self._ranges, self.remainder, weights)
+        )
 
     def apply(self, function: Univariate, *, least: float = -np.inf) -> "TaylorModel":
         """Returns the models of a function of each.
@@ -215,13 +225,21 @@ class TaylorModel:
         )
         return np.asarray(parts), np.asarray(own)
 
-    def _sum(self) -> "TaylorModel":
-        """Returns the model (n, 1) of the sum of the functions."""
-        return _rounded(
-            *(
-                part.sum(axis=-1, keepdims=True)
-                for part in (self.parts, self.remainder, self.magnitude)
-            )
+    def bend(
+        self, found: Expansion, about: FloatArray, rounding: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Makes these the models of functions of them, in place; see `kernels.bend_layer`.
+
+        For a layer of a network, which asks for nothing of its arguments afterwards.
+
+        Args:
+            found: The expansions of the functions.
+            about: What they are about, (n, f).
+            rounding: (n, f) what the last affine map added to the remainders.
+        """
+        expansion = (about, found.value, found.slope, found.curvature, found.rest)
+        return kernels.bend_layer(
+            self.parts, self._ranges, self.remainder, rounding, *expansion
         )
 
     def at_end(self, parameter: int, side: int) -> "TaylorModel":
@@ -278,6 +296,13 @@ class DualModel:
             parts[:, 0] = unit
             slopes.append(TaylorModel(parts, value.remainder))
         return cls(value, tuple(slopes))
+
+    @classmethod
+    def over_all(cls, models: Sequence["DualModel"]) -> "DualModel":
+        """Returns models over some patches and over others, after each other."""
+        slopes = zip(*(model.slopes for model in models), strict=True)
+        value = TaylorModel.over_all([model.value for model in models])
+        return cls(value, tuple(map(TaylorModel.over_all, slopes)))
 
     @property
     def divergence(self) -> TaylorModel:

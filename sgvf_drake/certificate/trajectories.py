@@ -8,16 +8,20 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from sgvf_drake.arrays import FloatArray
-from sgvf_drake.certificate.field_model import BoundedField
+from sgvf_drake.certificate.field_model import ExactField
 from sgvf_drake.certificate.rest_ball import RestBall, prove_rest
 from sgvf_drake.fields import ComposedField
 from sgvf_drake.fields.compiled import CompiledField
 
-# The relative and the absolute tolerance, and the longest step, in time at |m| = 1, by which
-# no passage of a plane within `NEAR` is missed.
-TOLERANCE, LONGEST_STEP = 1e-7, 0.15
-# A return to within this is looked at, in U, and one to within `CLOSED` ends the search.
-NEAR, CLOSED = 0.2, 1e-6
+Precision = tuple[str, float]
+# SciPy's method, and its relative and absolute tolerance: where nothing else is told, and where
+# an orbit need not be more than sketched, at half the cost.
+PRECISE, ROUGH = ("DOP853", 1e-7), ("RK45", 1e-6)
+# The longest step, in time at |m| = 1, by which no passage of a plane within `NEAR` is missed.
+LONGEST_STEP = 0.15
+# A return to within this is looked at, in U, and one to within so many tolerances ends the
+# search.
+NEAR, CLOSED = 0.2, 10
 # What an orbit is given to settle, in lengths of its piece; so many laps, none longer than so
 # many lengths.
 SETTLING, LAPS, LONGEST_LAP = 0.2, 6, 3.0
@@ -58,7 +62,12 @@ class Orbit:
 
 
 def closed_orbit(
-    field: BoundedField, start: FloatArray, length: float, *, turn: float = 0.0
+    field: ExactField,
+    start: FloatArray,
+    length: float,
+    *,
+    turn: float = 0.0,
+    precision: Precision = PRECISE,
 ) -> Orbit | None:
     """Returns the closed orbit on which m settles; None if it does not settle on one.
 
@@ -67,20 +76,22 @@ def closed_orbit(
         start: (d,) where to start, normalised.
         length: About the time of a lap.
         turn: The angle by which m is turned counter-clockwise first, in the plane, rad.
+        precision: How precisely.
     """
-    rate = _rate(field) if turn == 0.0 else _turned(_rate(field), turn)
-    place = _run(rate, start, SETTLING * length).y[:, -1]
+    rate = rate_of(field, turn)
+    place = _run(rate, start, SETTLING * length, precision=precision).y[:, -1]
     for _ in range(LAPS):
-        run = _run(rate, place, LONGEST_LAP * length, _return_to(place, rate(0.0, place)))
+        back = _return_to(place, rate(0.0, place))
+        run = _run(rate, place, LONGEST_LAP * length, back, precision=precision)
         gap, place = place - run.y[:, -1], run.y[:, -1]
         if run.status != 1 or gap @ gap > NEAR**2 / 4:
             return None
-        if np.abs(gap).max() < CLOSED:
+        if np.abs(gap).max() < CLOSED * precision[1]:
             return Orbit(_closed_up(run.sol, run.t[-1], gap), float(run.t[-1]), closed=True)
     return None
 
 
-def open_orbit(field: BoundedField, start: FloatArray, length: float) -> Orbit | None:
+def open_orbit(field: ExactField, start: FloatArray, length: float) -> Orbit | None:
     """Returns the orbit from a place to a ball in which all is proved to come to rest, or None.
 
     Args:
@@ -88,7 +99,7 @@ def open_orbit(field: BoundedField, start: FloatArray, length: float) -> Orbit |
         start: (d,) where to start, normalised.
         length: About the time that it takes.
     """
-    rate = _rate(field)
+    rate = rate_of(field)
     run = _run(rate, start, LONGEST_LAP * length, _stop(rate))
     if run.status != 1:
         return None
@@ -103,7 +114,7 @@ def open_orbit(field: BoundedField, start: FloatArray, length: float) -> Orbit |
 
 
 def passing_orbit(
-    field: BoundedField, start: FloatArray, place: FloatArray, normal: FloatArray, near: float
+    field: ExactField, start: FloatArray, place: FloatArray, normal: FloatArray, near: float
 ) -> tuple[Orbit, bool]:
     """Returns the orbit from a place until it passes a plane near another, and whether it does.
 
@@ -115,22 +126,23 @@ def passing_orbit(
         near: How far from the place it passes the plane, at most.
     """
     longest = LONGEST_LAP * float(np.linalg.norm(place - start)) + SLOWEST
-    run = _run(_rate(field), start, longest, _pass(place, normal, near), near / 2)
+    run = _run(rate_of(field), start, longest, _pass(place, normal, near), near / 2)
     return Orbit(run.sol, float(run.t[-1]), closed=False), run.status == 1
 
 
-def _rate(field: BoundedField) -> Rate:
-    """Returns z' by time and z."""
+def rate_of(field: ExactField, turn: float = 0.0) -> Rate:
+    """Returns z' by time and z, for m turned by an angle, rad; in the plane, unless it is 0."""
+    if turn:
+        return _turned(rate_of(field), turn)
     center, unit = field.cloud.center, field.cloud.unit_length
     if isinstance(field, ComposedField):
-        evaluate = CompiledField(field)
-        return lambda _, z: evaluate(center + unit * z)
+        compiled, no_slopes = CompiledField(field), np.empty((0, field.dim))
+        return lambda _, z: compiled.evaluate(center + unit * z, no_slopes)
     motion, g, d = field.field.with_memory().compiled(), field.g, field.dim
     return lambda _, z: motion.evaluate(np.concatenate([center + unit * z, g]))[:d]
 
 
 def _turned(rate: Rate, angle: float) -> Rate:
-    """Returns the rate of the field in the plane turned by an angle, rad."""
     c, s = np.cos(angle), np.sin(angle)
     rotation = np.array([[c, -s], [s, c]])
     return lambda t, z: rotation @ rate(t, z)
@@ -181,16 +193,18 @@ def _run(
     duration: float,
     event: Event | None = None,
     max_step: float = LONGEST_STEP,
+    precision: Precision = PRECISE,
 ) -> Any:
-    """Returns what `solve_ivp` finds."""
+    """Returns what `solve_ivp` finds: with an event, as a function of time too."""
+    method, tolerance = precision
     return solve_ivp(
         rate,
         (0.0, duration),
         start,
-        method="DOP853",
+        method=method,
         events=event,
-        dense_output=True,
+        dense_output=event is not None,
         max_step=min(max_step, LONGEST_STEP),
-        rtol=TOLERANCE,
-        atol=TOLERANCE,
+        rtol=tolerance,
+        atol=tolerance,
     )

@@ -12,7 +12,7 @@ from sgvf_drake.certificate.taylor_model import TaylorModel
 # Parts are halved so often, at most.
 HALVINGS = 4
 # Parts that are asked about at once.
-CHUNK = 200
+CHUNK = 1000
 # The condition number of the directions of axes from which on a cell counts as skewed, and what
 # is beyond the rounding of a linear system with a smaller one, by far.
 SKEWED, ROUNDING = 100.0, 1e-9

@@ -17,7 +17,7 @@ from scipy.sparse import bsr_array
 from scipy.sparse.linalg import spsolve
 
 from sgvf_drake.arrays import FloatArray
-from sgvf_drake.certificate.field_model import BoundedField
+from sgvf_drake.certificate.field_model import ExactField
 from sgvf_drake.certificate.trajectories import Orbit, closed_orbit, open_orbit
 from sgvf_drake.certificate.tube import Tube, TubeProof, prove_tube
 from sgvf_drake.certificate.wall_search import Ladder
@@ -53,7 +53,7 @@ class Course:
         growth: (n + 1, d - 1, d - 1) G.
     """
 
-    field: BoundedField
+    field: ExactField
     orbit: Orbit
     times: FloatArray
     points: FloatArray
@@ -62,7 +62,7 @@ class Course:
     growth: FloatArray
 
     @classmethod
-    def along(cls, field: BoundedField, orbit: Orbit) -> "Course":
+    def along(cls, field: ExactField, orbit: Orbit) -> "Course":
         """Returns the course of an orbit."""
         times = _looked_at(field, orbit)
         z = orbit.at(times).T
@@ -139,7 +139,7 @@ def absolute_off_diagonal(growth: FloatArray) -> FloatArray:
     return np.where(np.eye(growth.shape[1], dtype=bool), growth, np.abs(growth))
 
 
-def _looked_at(field: BoundedField, orbit: Orbit) -> FloatArray:
+def _looked_at(field: ExactField, orbit: Orbit) -> FloatArray:
     """Returns times along an orbit, close together where it turns."""
     times = np.linspace(0, orbit.duration, int(np.ceil(orbit.duration / FIRST)) + 1)
     tangent = _direction(field(field.cloud.denormalize(orbit.at(times).T)))
@@ -207,7 +207,7 @@ class FoundTube:
         return self.proof.patches + (self.walls_proof.patches if self.walls_proof else 0)
 
 
-def find_tube(field: BoundedField, points: FloatArray, *, closed: bool) -> FoundTube | None:
+def find_tube(field: ExactField, points: FloatArray, *, closed: bool) -> FoundTube | None:
     """Returns a proved tube around the orbit of a piece of a path; None: none was found.
 
     Args:
@@ -251,7 +251,7 @@ class Refined:
     times: FloatArray
 
 
-def refined(field: BoundedField, course: Course, inflow: float) -> Refined | None:
+def refined(field: ExactField, course: Course, inflow: float) -> Refined | None:
     """Returns a proved tube of an inflow, with more sections where that helps; or None."""
     times, weak = course.sections(inflow), np.inf
     while True:

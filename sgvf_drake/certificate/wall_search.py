@@ -13,8 +13,8 @@ from scipy.sparse import csc_array
 from scipy.sparse.linalg import spsolve
 
 from sgvf_drake.arrays import FloatArray
-from sgvf_drake.certificate.field_model import BoundedField
-from sgvf_drake.certificate.trajectories import Orbit, closed_orbit
+from sgvf_drake.certificate.field_model import ExactField
+from sgvf_drake.certificate.trajectories import ROUGH, Orbit, closed_orbit
 from sgvf_drake.certificate.walls import Walls
 from sgvf_drake.paths import Piece, ReferencePath
 
@@ -45,7 +45,7 @@ class Ladder:
     rungs: FloatArray
 
     @classmethod
-    def around(cls, field: BoundedField, orbit: Orbit, times: FloatArray) -> "Ladder":
+    def around(cls, field: ExactField, orbit: Orbit, times: FloatArray) -> "Ladder":
         """Returns the ladder of a closed orbit in the plane, with points at some times.
 
         It ends with the last angle whose closed orbits were both found.
@@ -85,14 +85,14 @@ class Ladder:
 
 
 def _turned_orbit(
-    field: BoundedField, points: FloatArray, duration: float, turn: float
+    field: ExactField, points: FloatArray, duration: float, turn: float
 ) -> Orbit | None:
     """Returns the closed orbit of m turned by an angle, from points of a nearby one; or None.
 
     Where legs of a tip run side by side, it may not be seen where an orbit closes.
     """
     for start in points[:: len(points) // STARTS][:STARTS]:
-        found = closed_orbit(field, start, duration, turn=turn)
+        found = closed_orbit(field, start, duration, turn=turn, precision=ROUGH)
         if found is not None:
             return found
     return None

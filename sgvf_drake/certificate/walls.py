@@ -116,7 +116,7 @@ class Walls:
     def _held_by(self, pair: int, boxes: Boxes) -> tuple[BoolArray, BoolArray]:
         winds, apart = np.zeros(len(boxes)), np.ones(len(boxes), bool)
         for side in (1, -1):
-            turns, met = _around(self.polygons(side)[pair], boxes.centers, boxes.half)
+            turns, met = meet_and_wind(self.polygons(side)[pair], boxes)
             winds -= side * turns
             apart &= ~met
         return apart & (winds > 0), apart & (winds <= 0)
@@ -139,14 +139,20 @@ class Walls:
         return float(ReferencePath((right,)).project(left.vertices).distance.min())
 
 
+def meet_and_wind(polygon: FloatArray, boxes: Boxes) -> tuple[FloatArray, BoolArray]:
+    """Returns how often a polygon (K, 2) winds around squares (n,), and which it meets.
+
+    Where it meets a square, or comes as near as rounding could hide that, the first means
+    nothing.
+    """
+    return _around(polygon, boxes.centers, boxes.half)
+
+
 @kernel
 def _around(
     polygon: FloatArray, centers: FloatArray, half: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Returns how often a polygon winds around the centres of squares, and which it meets.
-
-    Where it meets a square, or comes as near as rounding could hide that, the first means
-    nothing.
+    """Returns the winding numbers of `meet_and_wind`, of the centres, and what is met.
 
     Args:
         polygon: (K, 2) its vertices.

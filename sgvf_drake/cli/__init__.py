@@ -14,6 +14,6 @@ __all__ = ["app", "main"]
 # A module registers its commands when it is imported; the help lists them in this order.
 for _name in (
     *("finding", "training", "flying", "monte_carlo", "checking"),
-    *("running", "reproducing"),
+    *("exporting", "running", "reproducing"),
 ):
     import_module(f"{__name__}.{_name}")

@@ -45,14 +45,27 @@ def _options(
 def main(arguments: Sequence[str] | None = None) -> None:
     """Runs the command line; what is wrong is told in one line on stderr.
 
-    The exit status is 2 for bad input, and 1 for an experiment of which trials failed.
+    The exit status is 2 for bad input, and 1 for an experiment of which trials failed, or where
+    another package named `systems` hides ours.
     """
     try:
         app(arguments)
     except (SgvfError, OSError) as error:
-        # Not as markup: a message may hold brackets.
-        errors.print(f"error: {error}", markup=False, highlight=False, soft_wrap=True)
+        _tell(f"error: {error}")
         sys.exit(FAILED if isinstance(error, ExperimentError) else BAD_INPUT)
+    except ImportError as error:
+        if (error.name or "").partition(".")[0] != "systems":
+            raise
+        _tell(
+            f"error: {error}: another package of that name comes before the one of sgvf_drake; "
+            "use a folder and an environment without it"
+        )
+        sys.exit(FAILED)
+
+
+def _tell(message: str) -> None:
+    """Prints a message on stderr, in one line; it may hold brackets, so it is no markup."""
+    errors.print(message, markup=False, highlight=False, soft_wrap=True)
 
 
 @contextmanager

@@ -43,6 +43,18 @@ def columns_of(columns: str | None, file: Path | None, option: str) -> list[str 
     return [name.strip() for name in columns.split(",")]
 
 
+def pair_of(text: str | None, option: str) -> tuple[str | None, str | None]:
+    """Reads what is one name for score and tangent, or one for each."""
+    if text is None:
+        return None, None
+    names = [name.strip() for name in text.split(",")]
+    if len(names) > 2 or not all(names):
+        raise ConfigurationError(
+            f"{option} takes one name, or the score's and the tangent's, not {text!r}"
+        )
+    return names[0], names[-1]
+
+
 # Here and not from `paths`, which imports numba.
 DIRECTIONS = ("ccw", "cw", "reverse")
 # Entries of --direction that leave a piece to the rule.

@@ -7,7 +7,15 @@ from typing import Annotated, Any, Literal
 import typer
 
 from sgvf_drake.cli.application import app, console, progress
-from sgvf_drake.cli.options import Columns, Out, Overwrite, columns_of, directions_of, point_of
+from sgvf_drake.cli.options import (
+    Columns,
+    Out,
+    Overwrite,
+    columns_of,
+    directions_of,
+    pair_of,
+    point_of,
+)
 from sgvf_drake.cli.tables import print_folder, print_import, print_messages, print_training
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import PAPER_GAIN
@@ -156,10 +164,10 @@ def shapes() -> None:
 @app.command("import")
 def import_(
     score: Annotated[
-        Path, typer.Option(help="Score network of (x, t): a state dict saved by torch.")
+        Path, typer.Option(help="Score network of (x, t): a checkpoint saved by torch.")
     ],
     tangent: Annotated[
-        Path, typer.Option(help="Tangent network of x: a state dict saved by torch.")
+        Path, typer.Option(help="Tangent network of x: a checkpoint saved by torch.")
     ],
     out: Out,
     points: Annotated[
@@ -169,6 +177,22 @@ def import_(
         ),
     ] = None,
     columns: Columns = None,
+    activation: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME[,NAME]",
+            help="What follows the hidden layers, as torch calls it: of both, or of the score "
+            "and of the tangent  \\[default: what the files tell].",
+        ),
+    ] = None,
+    key: Annotated[
+        str | None,
+        typer.Option(
+            metavar="KEY[,KEY]",
+            help="Entry of the checkpoints that is the state dict: of both, or of the score "
+            "and of the tangent  \\[default: the only one].",
+        ),
+    ] = None,
     gain: Annotated[
         float, typer.Option("--k-s", "--gain", help="k_s of the normalised score.")
     ] = PAPER_GAIN,
@@ -188,6 +212,8 @@ def import_(
         out,
         points=points,
         columns=chosen,
+        activations=pair_of(activation, "--activation"),
+        keys=pair_of(key, "--key"),
         gain=gain,
         normalise=normalise,
         overwrite=overwrite,

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -9,8 +10,11 @@ from sgvf_drake.arrays import FloatArray, IntArray
 from sgvf_drake.certificate import Certificate
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import GuidingField
+from sgvf_drake.fields.composed import ScoreInducedField
 from sgvf_drake.fields.storage import field_digest
 from systems import FieldForSpeed
+
+AnyField = TypeVar("AnyField", bound=ScoreInducedField)
 
 CERTIFICATE = "certificate.json"
 CERTIFICATE_FIGURE = "certificate.png"
@@ -112,7 +116,7 @@ def certificate_file(path: str | Path) -> Path | None:
     return file if file.is_file() else None
 
 
-def as_flown(field: GuidingField, speed: float, scale: float = 1.0) -> GuidingField:
+def as_flown(field: AnyField, speed: float, scale: float = 1.0) -> AnyField:
     """Returns what `systems.FieldForSpeed` makes of a field, in the unit of its waypoints.
 
     Args:
@@ -120,9 +124,9 @@ def as_flown(field: GuidingField, speed: float, scale: float = 1.0) -> GuidingFi
         speed: Of the flight, m/s.
         scale: Metres in one unit of the waypoints.
     """
-    metric = field.rescaled(scale)
+    metric: Any = field.rescaled(scale)
     flown = FieldForSpeed(metric, speed)
     if flown is metric:
         return field
-    assert isinstance(flown, GuidingField)
+    assert isinstance(flown, ScoreInducedField)
     return field.with_approach_length(flown.approach_length / scale)

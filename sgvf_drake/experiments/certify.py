@@ -66,7 +66,7 @@ def run_certify(
 
     def prove() -> Certificate:
         if claimed is not None:
-            return check(claimed, field, path)
+            return check(claimed, field, path, progress=progress)
         found = certify(flown, path, levels=levels, progress=progress)
         if asked is None or vehicle is None:
             return found

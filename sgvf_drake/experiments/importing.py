@@ -23,6 +23,7 @@ FIGURE = "field.png"
 IMPORT_FILES = (SUMMARY, FIELD_FILE, FIGURE)
 
 Folder = str | PathLike[str]
+Pair = tuple[str | None, str | None]
 
 
 def run_import(
@@ -32,6 +33,8 @@ def run_import(
     *,
     points: Folder | None = None,
     columns: str | Sequence[str | int] | None = None,
+    activations: Pair = (None, None),
+    keys: Pair = (None, None),
     gain: float = PAPER_GAIN,
     normalise: bool = False,
     overwrite: bool = False,
@@ -45,6 +48,9 @@ def run_import(
         points: The file of the waypoints that they were trained on; None: they are recovered
             from the score, which is then planar and in the unit of the paper's shapes.
         columns: Which columns of the file hold the coordinates.
+        activations: Those of the score and of the tangent, by their names in torch; None: the
+            file tells it, or there is no hidden layer.
+        keys: The entries of the two files that are the state dicts; None: the only one.
         gain: k_s of the normalised score, with the score per unit of the waypoints.
         normalise: Whether the field is brought to length one.
         overwrite: Whether results there may be replaced.
@@ -58,7 +64,11 @@ def run_import(
     from sgvf_drake.learning.checkpoints import load_checkpoint
 
     with result_folder(out, IMPORT_FILES, overwrite=overwrite) as folder:
-        networks = load_checkpoint(score, "score"), load_checkpoint(tangent, "tangent")
+        (of_score, of_tangent), (score_key, tangent_key) = activations, keys
+        networks = (
+            load_checkpoint(score, "score", key=score_key, activation=of_score),
+            load_checkpoint(tangent, "tangent", key=tangent_key, activation=of_tangent),
+        )
         cloud, origin = _waypoints(networks[0], points, columns)
         files = {"score": Path(score).name, "tangent": Path(tangent).name}
         field = import_field(*networks, cloud, gain=gain, normalise=normalise, files=files)

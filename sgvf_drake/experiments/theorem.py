@@ -27,6 +27,8 @@ from systems import MakeKinematicDiagram, MakeSimulator, SetPositions, StopOnExi
 STEP_PER_SIGMA = 0.5
 # Halvings of the interval in which a level set lies: down to rounding.
 BISECTIONS = 60
+# Fewer agents than this tell little of a basin.
+FEW_STARTS = 8
 # Level sets of the band on which x_dot = v starts.
 NUM_LEVEL_SETS = 5
 
@@ -357,14 +359,20 @@ def check_theorem(
         field: The field.
         reference: The path.
         found: Its verification, with a band.
-        starts: Agents of the grid, of which those inside {V <= c_out} count.
+        starts: Agents of the grid, of which those inside {V <= c_out} count; where these are
+            fewer than `FEW_STARTS`, about so many of a finer grid inside.
         progress: Told how far it is.
     """
     assert found.band is not None
     function, c_in, c_out = found.function, found.band.c_in, found.band.c_out
     grid = grid_starts(field.cloud.box, starts, field.dim)
     inside = grid[function(grid) <= c_out]
-    # A coarse grid may miss a thin basin; the lowest waypoint lies in it.
+    if len(inside) < FEW_STARTS:
+        # So coarse a grid misses most of a thin basin, as in space.
+        grid = found.samples.x[found.samples.on_grid]
+        inside = grid[function(grid) <= c_out]
+        inside = inside[:: max(1, len(inside) // starts)]
+    # It may miss it still; the lowest waypoint lies in it.
     points = function.mixture.points
     first = inside if len(inside) else points[[np.argmin(function(points))]]
     longest = reference.longest

@@ -48,7 +48,7 @@ def run_verify(
     piece too, at the `altitude` in m.
 
     Raises:
-        ConfigurationError: The field is not planar, or a value cannot be used.
+        ConfigurationError: The field is neither planar nor spatial, or a value cannot be used.
     """
     if speed is not None and not (np.isfinite(speed) and speed > 0):
         raise ConfigurationError(f"the speed must be a positive number, not {speed}")

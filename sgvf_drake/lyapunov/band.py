@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 from scipy import ndimage
@@ -40,7 +41,7 @@ CLIMB_STEPS = 20
 CLIMB_SHRINK = 0.82
 # Newton steps from the smallest gradients of the grid to the critical points of V, where
 # |grad V| sigma is below the second number; Hessians of a smaller determinant, times
-# sigma^4, are singular.
+# sigma^2d, are singular.
 NEWTON_STEPS = 20
 CRITICAL = 1e-6
 SINGULAR = 1e-12
@@ -75,7 +76,7 @@ class Band:
 
     @property
     def area(self) -> float:
-        """The area on which V decreases in the band."""
+        """The area on which V decreases in the band; in space the volume."""
         return self.basin.area - self.tube.area
 
 
@@ -99,7 +100,7 @@ def search_band(
         reference: The path.
         ratios: The noise levels to try, in those of the field.
         seed: Of the search for worse points.
-        stops: Where m vanishes, (k, 2): V falls on none of these levels; samples miss them.
+        stops: Where m vanishes, (k, d): V falls on none of these levels; samples miss them.
         progress: Told how far it is.
     """
     bands = []
@@ -130,14 +131,13 @@ def find_band(
     V, gradient = function.value_and_gradient(samples.x)
     V_dot = (gradient * samples.m).sum(axis=1)
     outward = component_along(gradient, samples.m)
-    slope = np.linalg.norm(samples.as_grid(gradient), axis=2)
+    slope = np.linalg.norm(samples.as_grid(gradient), axis=-1)
     bad = np.append(V[V_dot > -MIN_DECREASE / unit], critical_levels(function, samples, slope))
     if stops is not None:
         bad = np.append(bad, function(stops))
-    grid = samples.as_grid(V)
-    border = min(side.min() for side in (grid[0], grid[-1], grid[:, 0], grid[:, -1]))
+    border = _lowest_on_border(function, samples, V)
     lowest = 0.0
-    while (gap := _first_gap(bad, float(border), lowest)) is not None:
+    while (gap := _first_gap(bad, border, lowest)) is not None:
         c_in, c_out = gap
         inside = np.flatnonzero((c_in <= V) & (c_out >= V))
         weak = inside[_weakest(V[inside], outward[inside], gap)]
@@ -162,20 +162,36 @@ def critical_levels(
 ) -> FloatArray:
     """Returns the levels of the critical points of V in the box, at which V_dot is zero.
 
-    They are found by Newton's method from the local minima of the `slope` |grad V| (ky, kx) on
-    the grid of the samples; V falls fast so near to them that samples miss them.
+    They are found by Newton's method from the local minima of the `slope` |grad V| on the grid
+    of the samples, (ky, kx) or (kz, ky, kx); V falls fast so near to them that samples miss
+    them.
     """
     lowest = slope == ndimage.minimum_filter(slope, size=3)
     x = samples.x[samples.on_grid][lowest.ravel()]
     for _ in range(NEWTON_STEPS):
         gradient, hessian = function.gradient_and_hessian(x)
-        regular = np.abs(np.linalg.det(hessian)) > SINGULAR / function.sigma**4
+        regular = np.abs(np.linalg.det(hessian)) > SINGULAR / function.sigma ** (
+            2 * function.dim
+        )
         x, gradient, hessian = x[regular], gradient[regular], hessian[regular]
         x = x - np.linalg.solve(hessian, gradient[:, :, None])[:, :, 0]
     found = np.linalg.norm(function.gradient(x), axis=1) < CRITICAL / function.sigma
     lower, upper = samples.corners
     inside = ((lower <= x) & (x <= upper)).all(axis=1)
     return function(x[found & inside])
+
+
+def _lowest_on_border(function: LyapunovFunction, samples: Samples, V: FloatArray) -> float:
+    """Returns the lowest V on the border of the box, from V at the samples (n,)."""
+    grid, axes = samples.as_grid(V), range(function.dim)
+    lowest = min(grid.take(end, axis).min() for axis, end in product(axes, (0, -1)))
+    if max(axis[1] - axis[0] for axis in samples.axes) > function.sigma:
+        # Points of so coarse a grid lie around the lowest place, which is beside a waypoint.
+        for axis, corner in product(axes, samples.corners):
+            beside = function.mixture.points.copy()
+            beside[:, axis] = corner[axis]
+            lowest = min(lowest, function(beside).min())
+    return float(lowest)
 
 
 def _first_gap(bad: FloatArray, border: float, lowest: float) -> tuple[float, float] | None:
@@ -206,7 +222,7 @@ def _climb(
     """Returns V and V_dot at points of a band where m flows in least, (k,) each.
 
     Points are pushed to where the inward normal speed is smaller still, by trial: what lies
-    between the samples is to be found.  `climbers` are points (k, 2), and there V, V_dot and
+    between the samples is to be found.  `climbers` are points (k, d), and there V, V_dot and
     the outward normal speed of m; `gap` the lowest and the highest level of the band.
     """
     x, V, V_dot, outward = climbers

@@ -96,6 +96,12 @@ class Cells:
         shared, which = _distinct_rows(numbers.reshape(-1, self.dim))
         return self.origin + shared * self.half, which.reshape(numbers.shape[:2])
 
+    def corners(self) -> tuple[FloatArray, IntArray]:
+        """Returns the corners of all cells and which are a cell's, (k, d) and (n, 2^d)."""
+        numbers = self.numbers[:, None, :] + corners(self.dim)
+        shared, which = _distinct_rows(numbers.reshape(-1, self.dim))
+        return self.origin + shared * self.side, which.reshape(numbers.shape[:2])
+
     def quartered(self) -> "Cells":
         """Returns the four quarters of every cell; of cubes the 2^d parts."""
         numbers = 2 * self.numbers[:, None, :] + corners(self.dim)
@@ -228,6 +234,19 @@ class CellModel:
         """The left singular vectors of the Jacobians, in rows (n, d, d); the values (n, d)."""
         U, singular, _ = np.linalg.svd(self.jacobian)
         return U.swapaxes(1, 2), singular
+
+
+def changes_little(field: SmoothMap, cells: Cells) -> BoolArray:
+    """Whether a field clearly has one direction in each cell, by its corners, (n,).
+
+    As `CellModel.vanishes_nowhere`, but with a constant for a model: it leaves more cells open,
+    and asks for a few values only.
+    """
+    value = field(cells.centers)
+    points, which = cells.corners()
+    along = (field(points)[which] @ value[:, :, None])[:, :, 0]
+    squared = (value**2).sum(axis=1)
+    return np.asarray(squared > SAFETY * np.abs(along - squared[:, None]).max(axis=1))
 
 
 def is_one_to_one(field: SmoothMap, centers: FloatArray, half: float) -> BoolArray:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -48,8 +49,8 @@ def check_assumptions(
       |cos(S, v)| of the raw score and the tangent, before they are put together;
       a2_cosine_gradient: |cos(grad V, v)|, which is what the decrease of V rests on.
     - a2_length_error (A2 ii): | |m| - 1 |.
-    - a2_lipschitz_along_level_sets (A2 iii): |J_v tau| with tau along the level set, per
-      unit of length, whose largest is the local Lipschitz constant L;
+    - a2_lipschitz_along_level_sets (A2 iii): the largest |J_v tau| of unit vectors tau
+      along the level set, per unit of length, whose largest is the local Lipschitz constant L;
       a2_lipschitz_between_points: the largest |v(x) - v(y)| / |x - y| over pairs of points
       of the grid whose V is nearly the same, also across from each other and between
       strands.
@@ -107,10 +108,16 @@ def _along_level_sets(
     field: GuidingField, x: FloatArray, gradient: FloatArray
 ) -> dict[str, Any]:
     J_v = TangentField(field).value_and_jacobian(x)[1]
-    tau = gradient[:, ::-1] * [-1.0, 1.0]
-    length = np.maximum(np.linalg.norm(tau, axis=1, keepdims=True), np.finfo(np.float64).tiny)
-    change = np.einsum("nij,nj->ni", J_v, tau / length)
-    return spread(np.linalg.norm(change, axis=1), x)
+    length = np.linalg.norm(gradient, axis=1, keepdims=True)
+    n = gradient / np.maximum(length, np.finfo(np.float64).tiny)
+    # A quarter turn of n in every plane of two axes: T T^T = 1 - n n^T.
+    pairs = list(combinations(range(field.dim), 2))
+    T = np.zeros((*n.shape, len(pairs)))
+    for column, (i, j) in enumerate(pairs):
+        T[:, i, column], T[:, j, column] = -n[:, j], n[:, i]
+    change = np.einsum("nij,njk->nik", J_v, T)
+    squares = np.linalg.eigvalsh(change.swapaxes(1, 2) @ change)
+    return spread(np.sqrt(np.maximum(squares[:, -1], 0)), x)
 
 
 def _between_points(field: GuidingField, function: LyapunovFunction, x: FloatArray) -> float:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+import math
 from typing import Any
 
 import numpy as np
@@ -45,7 +46,8 @@ class Violation:
         point: Where, or where it is worst, (d,).
         value: |m| there, e*, or V_dot.
         V: V there.
-        area: The area of the region, in the unit of length squared; 0 for a point.
+        area: The area of the region, in the unit of length squared; in space its volume, in
+            the unit cubed; 0 for a point.
         counts: Whether it is inside {V <= c_out}, or near the path where there is no band:
             then path following fails.  Elsewhere it says where nothing is claimed.
         detail: The kind of a zero.
@@ -136,7 +138,7 @@ def verify(
     ratios: Sequence[float] = SIGMA_RATIOS,
     progress: Progress = no_progress,
 ) -> Verification:
-    """Checks the conditions of path following on samples of a planar field.
+    """Checks the conditions of path following on samples of a field in the plane or in space.
 
     Args:
         field: The field.
@@ -146,7 +148,7 @@ def verify(
         progress: Told how far it is.
 
     Raises:
-        ConfigurationError: The field is not planar, or a directed one.
+        ConfigurationError: The field is neither planar nor spatial, or a directed one.
     """
     check_position_alone(field)
     reference = field.path if reference is None else reference
@@ -156,7 +158,7 @@ def verify(
     progress("zeros", 1, 1)
     # Where an open path ends, m has to vanish.
     on_the_way = [zero for zero in zeros.zeros if not _at_end(field, zero.point[None])[0]]
-    stops = np.array([zero.point for zero in on_the_way]).reshape(-1, 2)
+    stops = np.array([zero.point for zero in on_the_way]).reshape(-1, field.dim)
     band = search_band(field, samples, reference, ratios, seed, stops, progress)
     function = LyapunovFunction.of(field) if band is None else band.function
     margins = None
@@ -234,18 +236,19 @@ class _Places:
 
     def rises(self) -> list[Violation]:
         """Returns the regions of the grid outside the tube where V does not fall."""
-        (x, y), as_grid = self.samples.axes, self.samples.as_grid
+        axes, as_grid = self.samples.axes, self.samples.as_grid
+        steps = [axis[1] - axis[0] for axis in axes]
         V, V_dot = (as_grid(values) for values in self._levels)
-        labels, count = ndimage.label(as_grid(self.rising & ~self._tube), np.ones((3, 3)))
+        touching = np.ones((3,) * len(axes))
+        labels, count = ndimage.label(as_grid(self.rising & ~self._tube), touching)
         worst = ndimage.maximum_position(V_dot, labels, range(1, count + 1))
         sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
         found = []
         for at, size in zip(worst, sizes, strict=True):
-            point = np.array([x[at[1]], y[at[0]]])
+            point = np.array([axis[i] for axis, i in zip(axes, at[::-1], strict=True)])
             # Without a band, these are why there is none.
             counts = self.band is None or self.band.c_out >= V[at]
-            area = float(size * (x[1] - x[0]) * (y[1] - y[0]))
-            value = float(V_dot[at])
+            value, area = float(V_dot[at]), float(math.prod((size, *steps)))
             found.append(Violation("rise", point, value, float(V[at]), area, bool(counts)))
         return sorted(found, key=lambda region: (not region.counts, -region.area))[:MAX_PLACES]
 

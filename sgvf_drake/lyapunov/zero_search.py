@@ -19,6 +19,7 @@ from sgvf_drake.lyapunov.cells import (
     Cells,
     InChunks,
     SmoothMap,
+    changes_little,
     chunks,
     is_one_to_one,
 )
@@ -148,6 +149,8 @@ def _search(
 
 def _left_over(field: SmoothMap, cells: Cells) -> tuple[Cells, BoolArray]:
     """Returns the cells in which a field may vanish, and where it is nearly linear in them."""
+    open_cells = [~changes_little(field, cells[rows]) for rows in chunks(len(cells), BATCH)]
+    cells = cells[np.concatenate(open_cells)]
     left, smooth = [], []
     for rows in chunks(len(cells), BATCH):
         model = CellModel.over(field, cells[rows])

@@ -40,6 +40,34 @@ class NavigatorState(NamedTuple):
     begin: FloatArray
 
 
+class NavigatorTables(NamedTuple):
+    """What a navigator looks things up in, lengths in the unit of the itinerary.
+
+    Attributes:
+        samples: (N, d) points on the line at equal steps of arc length.
+        spacing: The step.
+        num_looked_at: How many samples from the first one on are looked at in a step.
+        guards: (S,) the arc length at which each section ends.
+        directions: (S + 1, d) the intended direction in each section, and zero.
+        floors: (S + 1,) the least arc length at which an agent in a section is looked for.
+        ceilings: (S + 1,) the largest one.
+        behind: How far behind its last place an agent is looked for.
+        ahead: How far ahead of it.
+        lost: The distance from its place beyond which an agent is started anew.
+    """
+
+    samples: FloatArray
+    spacing: float
+    num_looked_at: int
+    guards: FloatArray
+    directions: FloatArray
+    floors: FloatArray
+    ceilings: FloatArray
+    behind: float
+    ahead: float
+    lost: float
+
+
 class Navigator:
     """The automaton of the sections of an itinerary, for agents in batches.
 
@@ -79,6 +107,22 @@ class Navigator:
         # Behind the last section of an open itinerary agents are to rest.
         self._directions = np.concatenate([directions, np.zeros_like(directions[:1])])
         self._floor, self._ceiling = self._bounds()
+
+    @property
+    def tables(self) -> NavigatorTables:
+        """What it looks things up in, for its like in other languages."""
+        return NavigatorTables(
+            self._points,
+            self._spacing,
+            len(self._window),
+            self._guards,
+            self._directions,
+            self._floor,
+            self._ceiling,
+            self._behind,
+            self._ahead,
+            self._lost,
+        )
 
     def start(self, x: FloatArray, h: FloatArray | None = None) -> NavigatorState:
         """Returns the state of agents at the nearest places of the line.

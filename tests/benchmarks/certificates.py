@@ -147,7 +147,7 @@ def starts(name: str, seed: int) -> Row:
     found = sgvf.certify(field)
     walls = [one for one in found.walls if one is not None]
     assert found.cells is not None
-    basin = prove_basin(field, Cells.of(found.cells), walls)
+    basin = prove_basin(field, Cells.of(found.cells), walls, found.fences)
     boxes, rng = basin.cells.boxes, np.random.default_rng(seed)
 
     def some(rows: BoolArray) -> FloatArray:

@@ -1,7 +1,6 @@
 """Networks in torch, as others train them, and the paper's field as torch evaluates it."""
 
 import copy
-from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -9,7 +8,7 @@ import pytest
 import torch
 from torch import nn
 
-from sgvf_drake.lyapunov import take_samples, verification
+from sgvf_drake.lyapunov import samples
 
 # Of the trained ring: its radius, and the noise level of its score.
 RADIUS, RING_SIGMA = 3.0, 0.3
@@ -75,7 +74,7 @@ def ring_tangent():
 def coarse_grid():
     """Verifies on a sixth of the samples: what lies between them is found by searches."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(verification, "take_samples", partial(take_samples, grid_size=121))
+        patch.setitem(samples.GRID_SIZES, 2, 121)
         yield
 
 

@@ -32,6 +32,7 @@ _SETS = [
     Line2D([], [], color=TUBE, label="the tube: robots follow the path"),
 ]
 _EXCLUDED = plotting.mark("robots may stay here: middle of the set", "x", plotting.RED)
+_FENCE = Line2D([], [], color=plotting.RED, linewidth=0.8, label="fence: no robot comes in")
 _LEVELS = Line2D([], [], color=LEVELS, linestyle="--", label="level sets of V")
 
 
@@ -115,6 +116,11 @@ def _plot_map(
         x, y = np.transpose([one.center for one in found.excluded])
         axes.plot(x, y, "x", color=plotting.RED, markersize=7)
         handles.append(_EXCLUDED)
+    if found.fences:
+        for fence in found.fences:
+            x = field.cloud.denormalize(fence.vertices)
+            axes.fill(*x.T, fill=False, edgecolor=plotting.RED, linewidth=0.8)
+        handles.append(_FENCE)
     if found.counterexample is not None:
         axes.plot(*found.counterexample, "X", color=plotting.RED, markersize=9)
     plotting.plane_axes(axes, plotting.UNIT)

@@ -1,5 +1,7 @@
 """The figures of a verification: where V falls on samples, and Theorem 1 along trajectories."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from matplotlib.artist import Artist
@@ -11,11 +13,18 @@ from matplotlib.patches import Patch
 import numpy as np
 
 from sgvf_drake import plotting
-from sgvf_drake.arrays import plane_grid
+from sgvf_drake.arrays import FloatArray, box_grid, plane_grid
+from sgvf_drake.clouds.point_cloud import BOX_FACTOR
 from sgvf_drake.experiments.theorem import DecreaseCheck, LevelSetCheck, ModeCheck
 from sgvf_drake.fields import GuidingField
 from sgvf_drake.fields.vectors import component_along
-from sgvf_drake.lyapunov import MIN_DECREASE, Verification
+from sgvf_drake.lyapunov import (
+    MIN_DECREASE,
+    Samples,
+    Verification,
+    Violation,
+    robustness_bounds,
+)
 from sgvf_drake.lyapunov.conditions import NEARLY as BOUND_NEARLY
 
 # The states of a point of the map: outside of the band and V falls, in the band, in the tube,
@@ -40,6 +49,10 @@ BELOW: dict[str, Any] = {
 # there is no tube; pixels and arrows along its side.
 ZOOM_WIDTHS, ZOOM_UNITS = 5.0, 0.5
 ZOOM_PIXELS, ZOOM_ARROWS = 161, 17
+# Of a section in space: points along its sides, and waypoints that tell which way is across.
+MAP_SIZE, NEAREST = 151, 8
+# How large a view of space is, so that the names of its axes are on the figure.
+ZOOM = 0.85
 # Levels of V that are drawn on the map, and bins of the profile.
 MAP_LEVELS = 10
 PROFILE_BINS = 60
@@ -54,26 +67,125 @@ SHOWN_BELOW = 0.02
 LEVEL_COLORS = (plotting.BLUE, plotting.ORANGE, plotting.GREEN, plotting.RED)
 
 
+@dataclass(frozen=True, eq=False)
+class Section:
+    """A plane in which a figure is drawn, cut out of space; of the plane, it is all of it.
+
+    Attributes:
+        origin: (d,) where its coordinates are zero.
+        directions: (2, d) its axes, of length one and orthogonal.
+        names: The names of the two.
+    """
+
+    origin: FloatArray
+    directions: FloatArray
+    names: tuple[str, str]
+
+    def points(self, flat: FloatArray) -> FloatArray:
+        """Returns the points with given coordinates, (n, 2) -> (n, d)."""
+        return self.origin + flat @ self.directions
+
+    def coordinates(self, x: FloatArray) -> FloatArray:
+        """Returns the coordinates of the nearest points of the section, (n, d) -> (n, 2)."""
+        return (x - self.origin) @ self.directions.T
+
+    def samples(self, field: GuidingField, found: Verification) -> Samples:
+        """Returns a field on a grid over the section, as far around the cloud as its box is."""
+        if field.dim == 2:
+            return found.samples
+        corner = np.full(2, BOX_FACTOR * np.abs(self.coordinates(field.cloud.points)).max())
+        axes, grid = box_grid((-corner, corner), MAP_SIZE)
+        x = self.points(grid)
+        return Samples(axes, x, *field.components(x))
+
+
+def _sections(field: GuidingField) -> Sequence[Section]:
+    """Returns the plane, or in space two sections along the principal axes of the cloud."""
+    if field.dim == 2:
+        return [Section(np.zeros(2), np.eye(2), ("x", "y"))]
+    middle, axes = _principal(field.cloud.points)
+    names = ("long axis of the cloud", "middle axis", "short axis")
+    return [Section(middle, axes[[i, j]], (names[i], names[j])) for i, j in ((0, 1), (0, 2))]
+
+
+def _section_across(field: GuidingField, point: FloatArray) -> Section:
+    """Returns the plane, or in space the section through a point across the path near to it."""
+    if field.dim == 2:
+        return _sections(field)[0]
+    points = field.mixture.points
+    near = np.argsort(np.linalg.norm(points - point, axis=1))[:NEAREST]
+    axes = _principal(points[near])[1]
+    return Section(point, axes[1:], ("one way across the path", "the other way across"))
+
+
+def _principal(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Returns the middle of points (n, d), and their principal axes (d, d), longest first."""
+    middle = points.mean(axis=0)
+    return middle, np.linalg.svd(points - middle, full_matrices=False)[2]
+
+
 def verification_figure(field: GuidingField, found: Verification) -> Figure:
-    """Returns maps of V_dot and the bounds, the tube from near, and the flow by level of V."""
-    figure, (box, near, profile, bounds) = plotting.new_figure(2, 2, 12.5, 11.5)
-    _draw_decrease(box, field, found)
+    """Returns maps of V_dot and the bounds, the tube from near, and the flow by level of V.
+
+    In space there are two maps, of sections along the axes of the cloud, beside a view of it.
+    """
+    sections = _sections(field)
+    extra = len(sections) - 1
+    figure, axes = plotting.new_figure(2, 2 + extra, 12.5 + 6.5 * extra, 11.5)
+    *maps, near, profile, bounds = axes[extra:]
     title = "holds" if found.holds else "does NOT hold"
-    plotting.plane_axes(box, plotting.UNIT, f"where V falls along m (sampled): {title}")
-    _draw_tube(near, field, found)
+    if extra:
+        axes[0].remove()
+        view = figure.add_subplot(2, 2 + extra, 1, projection="3d")
+        _draw_view(view, field, found)
+        plotting.plane_axes(view, plotting.UNIT, f"where V does not fall (sampled): {title}")
+        view.set(zlabel=f"z [{plotting.UNIT}]")
+        # Names of axes in space are no part of the layout.
+        view.set_box_aspect(None, zoom=ZOOM)
+    samples = [section.samples(field, found) for section in sections]
+    for panel, section, on_section in zip(maps, sections, samples, strict=True):
+        _draw_decrease(panel, field, found, section, on_section)
+        text = f"where V falls along m (sampled): {title}"
+        plotting.plane_axes(panel, plotting.UNIT, text, section.names)
+    names = _draw_tube(near, field, found)
     place = "the weakest place of the tube" if found.holds else "the first violation"
-    plotting.plane_axes(near, plotting.UNIT, f"{place} from near, and m")
+    plotting.plane_axes(near, plotting.UNIT, f"{place} from near, and m", names)
     _draw_profile(profile, found)
-    _draw_bounds(bounds, found)
+    _draw_bounds(bounds, found, samples[0])
     title = "where the bounds on the paper's V_dot and the true one hold"
-    plotting.plane_axes(bounds, plotting.UNIT, title)
-    box.legend(handles=_handles(found), **BELOW)
+    plotting.plane_axes(bounds, plotting.UNIT, title, sections[0].names)
+    maps[0].legend(handles=_handles(found), **BELOW)
     return figure
 
 
-def _draw_decrease(axes: Axes, field: GuidingField, found: Verification) -> None:
+def _draw_view(axes: Any, field: GuidingField, found: Verification) -> None:
+    """Draws the waypoints in space, where V does not fall on the grid, and what is found."""
+    samples = found.samples
+    x, m = samples.x[samples.on_grid], samples.m[samples.on_grid]
+    V, V_dot = found.function(x), found.function.derivative(x, m)
+    rises = V_dot > -MIN_DECREASE / field.cloud.unit_length
+    if found.band is not None:
+        rises &= found.band.c_in < V
+    axes.plot(*x[rises].T, "s", color=RISES, markersize=3)
+    axes.plot(*field.cloud.points.T, ".", color="black", markersize=2)
+    _mark(axes, found.violations)
+
+
+def _mark(axes: Axes, violations: Sequence[Violation], section: Section | None = None) -> None:
+    """Marks violations where they are, or on a section."""
+    for violation in violations:
+        color = plotting.RED if violation.counts else plotting.GREY
+        marker = {"zero": "X", "slow": "v"}.get(violation.kind, "o")
+        at = violation.point if section is None else section.coordinates(violation.point)
+        (mark,) = axes.plot(*at[:, None], marker, color=color)
+        mark.set(markersize=7, markeredgecolor="white")
+
+
+def _draw_decrease(
+    axes: Axes, field: GuidingField, found: Verification, section: Section, samples: Samples
+) -> None:
     """Draws over the box where V falls and where not, the band, and what speaks against it."""
-    samples, function = found.samples, found.function
+    function = found.function
     x, y = samples.axes
     V = samples.as_grid(function(samples.x))
     V_dot = samples.as_grid(function.derivative(samples.x, samples.m))
@@ -85,16 +197,15 @@ def _draw_decrease(axes: Axes, field: GuidingField, found: Verification) -> None
     axes.pcolormesh(x, y, state, cmap=colors, vmin=0, vmax=3)
     levels = np.geomspace(max(V.max() / 1e3, 0.1), V.max(), MAP_LEVELS)
     axes.contour(x, y, V, levels, colors=LEVELS, linewidths=0.5)
-    plotting.plot_waypoints(axes, field.cloud.points)
-    for violation in found.violations:
-        color = plotting.RED if violation.counts else plotting.GREY
-        marker = {"zero": "X", "slow": "v"}.get(violation.kind, "o")
-        (mark,) = axes.plot(*violation.point, marker, color=color)
-        mark.set(markersize=7, markeredgecolor="white")
+    plotting.plot_waypoints(axes, section.coordinates(field.cloud.points))
+    _mark(axes, found.violations, section)
 
 
-def _draw_tube(axes: Axes, field: GuidingField, found: Verification) -> None:
-    """Draws the worst place of the tube: the sign of V_dot, {V <= c_in}, level sets, and m."""
+def _draw_tube(axes: Axes, field: GuidingField, found: Verification) -> tuple[str, str]:
+    """Draws the worst place of the tube: the sign of V_dot, {V <= c_in}, level sets, and m.
+
+    Returns the names of the axes.
+    """
     counting = [violation.point for violation in found.violations if violation.counts]
     if found.band is None or found.margins is None:
         center = counting[0] if counting else field.cloud.points[0]
@@ -102,8 +213,11 @@ def _draw_tube(axes: Axes, field: GuidingField, found: Verification) -> None:
     else:
         center = counting[0] if counting else found.margins.weakest[0]
         half = ZOOM_WIDTHS * found.band.tube.half_width
-    window = (center - half, center + half)
-    x, y, points = plane_grid(window, ZOOM_PIXELS)
+    section = _section_across(field, center)
+    middle = section.coordinates(center)
+    window = (middle - half, middle + half)
+    x, y, flat = plane_grid(window, ZOOM_PIXELS)
+    points = section.points(flat)
     V = found.function(points).reshape(len(y), len(x))
     rises = (found.function.along(field, points) >= 0).reshape(V.shape)
     axes.pcolormesh(x, y, rises, cmap=ListedColormap([FALLS, RISES]), vmin=0, vmax=1)
@@ -113,10 +227,13 @@ def _draw_tube(axes: Axes, field: GuidingField, found: Verification) -> None:
         axes.contourf(x, y, V, [-1, found.band.c_in], colors=[TUBE], alpha=0.35)
         axes.contour(x, y, V, [found.band.c_in], colors=[TUBE], linewidths=1.6)
     _, _, coarse = plane_grid(window, ZOOM_ARROWS)
-    arrows = field(coarse)
+    arrows = field(section.points(coarse)) @ section.directions.T
     axes.quiver(*coarse.T, *arrows.T, color="#4d5b66", width=0.003, scale=ZOOM_ARROWS)
-    plotting.plot_waypoints(axes, field.cloud.points)
+    waypoints = section.coordinates(field.cloud.points)
+    off = np.linalg.norm(section.points(waypoints) - field.cloud.points, axis=1)
+    plotting.plot_waypoints(axes, waypoints[off <= half])
     axes.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
+    return section.names
 
 
 def _draw_profile(axes: Axes, found: Verification) -> None:
@@ -149,15 +266,16 @@ def _draw_profile(axes: Axes, found: Verification) -> None:
     axes.legend(loc="best")
 
 
-def _draw_bounds(axes: Axes, found: Verification) -> None:
+def _draw_bounds(axes: Axes, found: Verification, samples: Samples) -> None:
     """Draws where the printed bound fails, and where the one with the true gradient is missed.
 
     The bound with the squashed score always holds.
     """
-    paper, _, gradient = found.bounds
-    state = found.samples.as_grid(~paper.holds + 2 * (gradient.excess > BOUND_NEARLY))
+    own = samples is found.samples
+    paper, _, gradient = found.bounds if own else robustness_bounds(found.function, samples)
+    state = samples.as_grid(~paper.holds + 2 * (gradient.excess > BOUND_NEARLY))
     colors = ListedColormap(list(BOUNDS.values()))
-    axes.pcolormesh(*found.samples.axes, state, cmap=colors, vmin=0, vmax=3)
+    axes.pcolormesh(*samples.axes, state, cmap=colors, vmin=0, vmax=3)
     handles = [Patch(color=color, label=label) for label, color in BOUNDS.items()]
     axes.legend(handles=handles, **BELOW)
 

@@ -12,15 +12,18 @@ import numpy as np
 from sgvf_drake.arrays import FloatArray
 from sgvf_drake.compiling import accumulating_part, part
 from sgvf_drake.fields.activation import ACTIVATIONS, NORMAL_RANGE
-from sgvf_drake.fields.compiled.packing import ACTIVATION, FIRST_WIDTH, NUM_FREQUENCIES
+from sgvf_drake.fields.compiled.packing import (
+    ACTIVATION,
+    FIRST_WIDTH,
+    LEAST_EXPONENT,
+    NUM_FREQUENCIES,
+)
 
 # The numbers by which `value_and_slope` knows the activations.
 _SILU, _TANH, _SIGMOID, _SOFTPLUS, _GELU, _ELU, _RELU = range(len(ACTIVATIONS))
 # Rows of W^T, those of eight inputs, that are added in one pass over the sums: these are then
 # seldom loaded and stored, and the processor does little but multiply and add.
 INPUTS_AT_ONCE = 8
-# Of a waypoint's share beside the nearest one's: 2e-22, where rounding is 1e-16.
-LEAST_EXPONENT = -50.0
 
 
 @part

@@ -35,6 +35,9 @@ ACTIVATION, NUM_FREQUENCIES, FIRST_WIDTH = range(3)
 ONE_WAY, TWO_WAY = range(2)
 """How strands are travelled."""
 
+LEAST_EXPONENT = -50.0
+"""Of a waypoint's share beside the nearest one's: 2e-22, where rounding is 1e-16."""
+
 PackedNetwork = tuple[IntArray, FloatArray]
 """Sizes and numbers."""
 

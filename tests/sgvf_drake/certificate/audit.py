@@ -7,7 +7,14 @@ NumPy's functions, nor float64.
 from flint import arb
 import numpy as np
 
-from sgvf_drake.certificate.field_model import TAYLOR, dual_field, has_dual, model_field
+from sgvf_drake.certificate.field_model import (
+    TAYLOR,
+    direction_dual,
+    direction_model,
+    dual_field,
+    has_dual,
+    model_field,
+)
 from sgvf_drake.certificate.patches import Patches
 
 from .ball_fields import BallField
@@ -21,7 +28,8 @@ ON_A_SIDE, INSIDE, TRIED = 4, 4, 200
 def random_patches(field, half, k, count, rng):
     """Turned patches of k parameters: half of them anywhere, half about the path.
 
-    Of those in the plane with two parameters every other one is a square of a grid.
+    Of those in the plane with two parameters every other one is a square of a grid.  More
+    parameters than there are coordinates go anywhere, but less far, as the products of cells.
     """
     d = field.dim
     anywhere = rng.uniform(-5, 5, (count - count // 2, d))
@@ -30,9 +38,10 @@ def random_patches(field, half, k, count, rng):
     about = about + 0.1 * rng.standard_normal(about.shape)
     centers = 2 * half * (np.floor(np.concatenate([anywhere, about]) / (2 * half)) + 0.5)
     axes = half * np.linalg.qr(rng.standard_normal((count, d, d)))[0][:, :, :k]
-    axes *= rng.uniform(0.1, 1, (count, 1, k))
-    axes[::2] = half * np.eye(d, k)
-    return Patches(centers, axes)
+    axes *= rng.uniform(0.1, 1, (count, 1, min(k, d)))
+    axes[::2] = half * np.eye(d, k)[:, :d]
+    products = 0.3 * half * rng.uniform(-1, 1, (count, d, max(k - d, 0)))
+    return Patches(centers, np.concatenate([axes, products], axis=2))
 
 
 def models_of(field, levels, patches):
@@ -42,7 +51,7 @@ def models_of(field, levels, patches):
     """
     with np.errstate(over="ignore", invalid="ignore"):
         m, (S, N) = model_field(field, patches), TAYLOR.score_and_tangent(field, patches)
-        found = {"N": N, "S": S, "m": m}
+        found = {"N": N, "S": S, "m": m, "direction": direction_model(field, patches)}
         if levels is not None:
             gradient = levels.gradient(patches)
             V = levels.level(patches, gradient)
@@ -51,6 +60,8 @@ def models_of(field, levels, patches):
             dual = dual_field(field, patches)
             found |= {"div m": dual.divergence}
             found |= {f"m by x_{i}": slope for i, slope in enumerate(dual.slopes)}
+            slopes = direction_dual(field, patches).slopes
+            found |= {f"direction by x_{i}": slope for i, slope in enumerate(slopes)}
     return found
 
 
@@ -58,9 +69,10 @@ def values_at(evaluated, levels, z):
     """The same at a point, in balls."""
     there = evaluated(z)
     slopes = there.slopes
-    found = {"N": there.N, "S": there.S, "m": there.m}
+    found = {"N": there.N, "S": there.S, "m": there.m, "direction": there.direction}
     found |= {"div m": [sum((row[i] for i, row in enumerate(slopes)), arb(0))]}
     found |= {f"m by x_{i}": row for i, row in enumerate(slopes)}
+    found |= {f"direction by x_{i}": row for i, row in enumerate(there.direction_slopes)}
     if levels is not None:
         V, gradient = mixture_at(levels.mixture, z)
         level = V - arb(levels.lowest)

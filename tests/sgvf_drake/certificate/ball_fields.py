@@ -11,7 +11,16 @@ import numpy as np
 
 from sgvf_drake.fields import GaussianMixture, HeldField, StrandMixture, StrandNetwork
 
-from .balls import FUNCTIONS, mixture_at, rectified, rested, sigmoid, strands_at, vector
+from .balls import (
+    FUNCTIONS,
+    mixture_at,
+    rectified,
+    rested,
+    sigmoid,
+    strands_at,
+    unsquashed,
+    vector,
+)
 
 
 def matrix(array):
@@ -111,12 +120,16 @@ class Values:
         S: The raw score.
         m: The field.
         slopes: The derivatives of m by each coordinate.
+        direction: A positive multiple of m; see `direction_model`.
+        direction_slopes: The derivatives of that.
     """
 
     N: list
     S: list
     m: list
     slopes: list
+    direction: list
+    direction_slopes: list
 
 
 class BallField:
@@ -146,8 +159,16 @@ class BallField:
             rested(self.composition, self.rest, line, S, N)
             for line, (S, N) in zip(lines, pairs, strict=True)
         ]
-        N, S, m = ([entry[0] for entry in part] for part in (*pairs[0][::-1], fields[0]))
-        return Values(N, S, m, [[entry[1] for entry in field] for field in fields])
+        directions = fields
+        if self.rest is None:
+            directions = [unsquashed(self.composition, S, N) for S, N in pairs]
+        N, S, m, direction = (
+            [entry[0] for entry in part] for part in (*pairs[0][::-1], fields[0], directions[0])
+        )
+        slopes, others = (
+            [[entry[1] for entry in field] for field in kind] for kind in (fields, directions)
+        )
+        return Values(N, S, m, slopes, direction, others)
 
     def score_and_tangent(self, z, k):
         """The raw score and the tangent along a coordinate, as power series."""

@@ -158,13 +158,30 @@ def composed(composition, S, N):
         m = [s + v for s, v in zip(squashed(S, gain), N, strict=True)]
         return m if isinstance(composition, PaperComposition) else direction(m, UNIT_SOFTENING)
     v = direction(N, DIRECTION_SOFTENING)
-    normal = S
-    if composition.projects:
-        ratio = (arb(composition.sigma) / PROJECTION_RANGE) ** 2 * dot(S, S)
-        along = dot(S, v) / (1 + ratio ** (PROJECTION_POWER // 2))
-        normal = [s - along * entry for s, entry in zip(S, v, strict=True)]
+    normal = projected(composition, S, v)
     share = composition.tangent_share * sech(gain * dot(normal, normal).sqrt())
     return [a + share * b for a, b in zip(squashed(normal, gain), v, strict=True)]
+
+
+def projected(composition, S, v):
+    """The score without its part along v near the path, if a composition asks for that."""
+    if not composition.projects:
+        return S
+    ratio = (arb(composition.sigma) / PROJECTION_RANGE) ** 2 * dot(S, S)
+    along = dot(S, v) / (1 + ratio ** (PROJECTION_POWER // 2))
+    return [s - along * entry for s, entry in zip(S, v, strict=True)]
+
+
+def unsquashed(composition, S, N):
+    """m over what a composition multiplies everything by; of balls, or of power series."""
+    if isinstance(composition, NormalisedComposition):
+        return composed(PaperComposition(composition.gain), S, N)
+    m = composed(composition, S, N)
+    if isinstance(composition, PaperComposition):
+        return m
+    normal = projected(composition, S, direction(N, DIRECTION_SOFTENING))
+    size = dot(normal, normal).sqrt()
+    return [entry * size / FUNCTIONS["Tanh"](arb(composition.gain) * size) for entry in m]
 
 
 def squashed(S, gain):

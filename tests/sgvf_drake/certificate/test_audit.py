@@ -10,7 +10,8 @@ from sgvf_drake import load_field
 from sgvf_drake.certificate.boxes import BoxSizes
 from sgvf_drake.certificate.mixture_model import MixtureModel, lowest_of, mixture_of
 from tests.data.make import field_file
-from tests.sgvf_drake.fields.test_directed import KINDS, field_of
+from tests.fields import DIRECTED_KINDS as KINDS
+from tests.fields import random_directed_field as field_of
 
 from .audit import audit, held, random_patches
 from .ball_fields import BallField

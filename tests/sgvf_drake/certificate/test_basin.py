@@ -10,9 +10,10 @@ from scipy.integrate import solve_ivp
 
 from sgvf_drake import certify
 from sgvf_drake.certificate import basin, find_basin, prove_basin
-from sgvf_drake.certificate.basin import LEAST, MOST, _graph, _Known, facts_of
+from sgvf_drake.certificate.basin import LEAST, MOST, _graphs, _Known, facts_of
 from sgvf_drake.certificate.boxes import Boxes
 from sgvf_drake.certificate.cells import COUNT, DEPTH, HALF, ROOT, SIDES, UNIT, Cells
+from sgvf_drake.certificate.fences import Fences
 
 
 def random_cells(seed, rounds=4, share=0.1):
@@ -101,7 +102,7 @@ def between(walls, z):
 
 def test_robots_from_proved_squares_come_between_walls(two_rings):
     field, _, found = two_rings
-    basin = prove_basin(field, Cells.of(found.cells), found.walls)
+    basin = prove_basin(field, Cells.of(found.cells), found.walls, found.fences)
     assert basin.area == found.area_fraction > 0.95
     boxes = basin.cells.boxes
     rng = np.random.default_rng(0)
@@ -119,7 +120,7 @@ def test_what_is_told_is_that_of_the_last_squares(ring, monkeypatch):
     monkeypatch.setattr(basin, "ROUNDS", 1)
     told = []
     found = find_basin(field, stored.walls, lambda *progress: told.append(progress))
-    again = prove_basin(field, found.cells, stored.walls)
+    again = prove_basin(field, found.cells, stored.walls, found.fences)
     np.testing.assert_array_equal(found.comes, again.comes)
     assert (found.area, found.almost, found.excluded) == (
         again.area,
@@ -134,7 +135,7 @@ def test_what_is_excluded_holds_the_zeros(two_rings):
     field, _, found = two_rings
     # One at the centre, and a circle of places from where nobody knows, between the rings.
     assert np.linalg.norm(field(np.zeros((1, 2)))) < 1e-9
-    basin = prove_basin(field, Cells.of(found.cells), found.walls)
+    basin = prove_basin(field, Cells.of(found.cells), found.walls, found.fences)
     boxes = basin.cells.boxes
     at_centre = (np.abs(boxes.centers) <= boxes.half[:, None]).all(axis=1)
     assert at_centre.any()
@@ -160,8 +161,9 @@ def test_a_ring_without_walls_is_no_goal(two_rings):
 def test_orbits_are_walks_on_the_graph(two_rings):
     field, _, found = two_rings
     cells = Cells.of(found.cells)
-    known = _Known.of(field, cells, found.walls)
-    graph = _graph(known)
+    fences = Fences.proved(field, found.fences)
+    known = _Known.of(field, cells, found.walls, fences)
+    graph = _graphs(field, known, fences).whole
     order = {
         (*corner, size): k
         for k, (corner, size) in enumerate(
@@ -190,7 +192,7 @@ def test_orbits_are_walks_on_the_graph(two_rings):
             reach = boxes.half[[before, now]].sum()
             shared = reach - np.abs(boxes.centers[now] - boxes.centers[before]) > 1e-9
             # Through a corner an orbit passes two sides at once, and in the goal it may go on.
-            if before != now and shared.any() and not graph.goal[before]:
+            if before != now and shared.any() and not known.goal[before]:
                 assert after[before, now] == 1
                 steps += 1
     assert steps > 100

@@ -94,6 +94,15 @@ def test_a_certificate_is_written_and_read(ring, tmp_path):
     assert Certificate.load(file) == certificate
 
 
+def test_a_proof_anew_tells_how_far_it_is(ring):
+    field, path, certificate = ring
+    told = []
+    assert check(certificate, field, path, progress=lambda *now: told.append(now)).certified
+    stages = ["tubes and walls", "cells", "levels"]
+    assert [now for now in told if now[1] == 0] == [(stage, 0, 1) for stage in stages]
+    assert [now for now in told if now[1] == now[2]] == [(stage, 1, 1) for stage in stages]
+
+
 def test_a_field_that_settles_beside_the_path_is_certified_for_where_it_settles(ring):
     """By .3 U, as networks from elsewhere may: the certificate tells how far that is."""
     field, path, _ = ring

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
+from sgvf_drake.certificate import kernels
 from sgvf_drake.certificate.expansions import (
     ACTIVATIONS,
     COSINE,
@@ -18,6 +19,7 @@ from sgvf_drake.certificate.expansions import (
     SECH_OF_ROOT,
     SINE,
     SQUASH,
+    WAVES,
     find_expansion,
 )
 from sgvf_drake.exceptions import ConfigurationError
@@ -149,6 +151,35 @@ def test_over_a_wide_range_an_expansion_leaves_no_more_than_the_range(name):
     for expand in (expansion.expand, expansion.expand_slope):
         ends = [expand(end, end, end).value for end in (low, high)]
         assert expand(u, low, high).rest <= 0.51 * abs(ends[0] - ends[1])
+
+
+def test_exponentials_are_right_within_four_units():
+    """Also at the ends of the intervals of each power of two, where the series is longest."""
+    rng = np.random.default_rng(0)
+    halves = (np.arange(-1009, 1009) + 0.5) * np.log(2)
+    x = np.concatenate(
+        [rng.uniform(-700, 700, 2000), rng.uniform(-1, 1, 2000), halves, [0.0, -700.0, 700.0]]
+    )
+    found, scale = np.empty((2, len(x)))
+    kernels._exponentials(x, scale, found)
+    for at, value in zip(x, found, strict=True):
+        expected = arb(float(at)).exp()
+        assert abs(arb(float(value)) - expected) <= 4 * kernels.UNIT * expected
+    far = np.array([-1e300, -800.0, 800.0, 1e300])
+    kernels._exponentials(far, scale[:4], found[:4])
+    assert found[:4].tolist() == pytest.approx(np.exp([-700.0, -700, 700, 700]), rel=1e-15)
+
+
+def test_waves_are_sines_and_cosines():
+    u, reach = np.random.default_rng(1).uniform(-9, 9, (1, 8)), 0.1
+    both = np.concatenate([u, u], axis=1)
+    for name in ("expand", "expand_slope"):
+        found = getattr(WAVES, name)(both, both - reach, both + reach)
+        apart = [getattr(one, name)(u, u - reach, u + reach) for one in (SINE, COSINE)]
+        for part in ("value", "slope", "curvature", "rest"):
+            halves = np.split(getattr(found, part), 2, axis=1)
+            for half, one in zip(halves, apart, strict=True):
+                np.testing.assert_array_equal(half, getattr(one, part))
 
 
 def test_every_activation_that_a_network_may_have_is_bounded():

@@ -16,7 +16,7 @@ from sgvf_drake.certificate.patches import Patches
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import GaussianMixture, NormalisedComposition, StrandMixture
 from sgvf_drake.fields.activation import ACTIVATIONS, find_activation
-from tests.sgvf_drake.fields.test_directed import field_of
+from tests.fields import random_directed_field as field_of
 
 from .ball_fields import BallField, BallNetwork
 from .balls import (

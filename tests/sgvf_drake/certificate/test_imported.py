@@ -64,7 +64,7 @@ def test_what_was_trained_elsewhere_is_certified(tmp_path):
     torch.save(score.state_dict(), files["--score"])
     torch.save(tangent.state_dict(), files["--tangent"])
     options = [part for option in files.items() for part in option]
-    assert run("import", *options, "--out", tmp_path / "imported") == 0
+    assert run("import", *options, "--activation", "SiLU", "--out", tmp_path / "imported") == 0
     file, out = tmp_path / "imported" / "field.safetensors", tmp_path / "certificate"
     assert run("certify", file, "--out", out) == 0
     field, found = load_field(file), Certificate.load(out / "certificate.json")

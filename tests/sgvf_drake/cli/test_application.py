@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from sgvf_drake import __version__
+from sgvf_drake import __version__, cli
 from tests.helpers import content_of, names_in
 
 FOLLOW_FILES = {"summary.json", "trajectories.parquet", "follow.png"}
@@ -91,6 +91,28 @@ def test_the_program_reports_bad_input(tmp_path):
     assert names_in(tmp_path) == set()
     done = run_process(sys.executable, "-m", "sgvf_drake", "--version", cwd=tmp_path)
     assert done.stdout == f"sgvf_drake {__version__}\n"
+
+
+def test_another_package_named_systems_is_told_in_one_line(trained, tmp_path):
+    other = tmp_path / "systems" / "__init__.py"
+    other.parent.mkdir()
+    other.write_text("")
+    command = ("follow", str(trained), "--starts", "1", "--duration", "1", "--out", "out")
+    done = run_process(sys.executable, "-m", "sgvf_drake", *command, cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (1, "")
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("error: cannot import name ")
+    assert f"from 'systems' ({other})" in line
+    assert names_in(tmp_path) == {"systems"}
+
+
+def test_an_import_that_fails_elsewhere_is_no_such_case(monkeypatch):
+    def broken(arguments):
+        raise ImportError("no drake", name="pydrake.systems")
+
+    monkeypatch.setattr("sgvf_drake.cli.application.app", broken)
+    with pytest.raises(ImportError, match="no drake"):
+        cli.main(["shapes"])
 
 
 def modules_after(arguments, folder):

@@ -27,7 +27,16 @@ def inputs(tmp_path_factory, ring_networks, make_sequential):
     for name, content in {
         "score": {"state_dict": score.state_dict(), "hiddens": [200], "activation": "Tanh"},
         "tangent": {f"net.{key}": tensor for key, tensor in tangent.state_dict().items()},
-        "untrained": make_sequential([3, 8, 2]).state_dict(),
+        "untrained": {
+            "state_dict": make_sequential([3, 8, 2]).state_dict(),
+            "activation": "SiLU",
+        },
+        "untold": make_sequential([3, 8, 2], "ReLU").state_dict(),
+        "both": {
+            "epoch": 9,
+            "score_state_dict": score.state_dict(),
+            "tangent_state_dict": tangent.state_dict(),
+        },
         "spatial_score": make_sequential([4, 8, 3]).state_dict(),
         "spatial_tangent": make_sequential([3, 8, 3]).state_dict(),
         "no_bias": {"net.0.weight": torch.zeros(2, 3)},
@@ -130,11 +139,20 @@ def test_waypoints_that_are_not_seen_are_asked_for(command, tmp_path, capsys):
 
 
 def test_networks_of_space(command, inputs, tmp_path):
-    networks = ("spatial_score.pth", "spatial_tangent.pth")
+    networks = ("spatial_score.pth", "spatial_tangent.pth", "--activation", "ReLU")
     assert command(*networks, "--points", inputs / "spatial.txt", "--out", tmp_path) == 0
+    summary = summary_of(tmp_path)
+    # One name is that of both.
+    assert (summary["score_activation"], summary["tangent_activation"]) == ("ReLU", "ReLU")
     assert open_field(tmp_path)(np.zeros(3)).shape == (3,)
     # There is nothing to draw.
     assert names_in(tmp_path) == FILES - {"field.png"}
+
+
+def test_one_file_of_both_networks(command, tmp_path, ring_networks, largest_difference):
+    chosen = ("--key", "score_state_dict,tangent_state_dict", "--activation", "Tanh,SiLU")
+    assert command("both.pth", "both.pth", *chosen, "--out", tmp_path) == 0
+    assert largest_difference(open_field(tmp_path), *ring_networks) < 1e-9
 
 
 def test_results_are_replaced_only_when_asked(command, inputs, tmp_path, refused):
@@ -158,16 +176,25 @@ BAD = {
     "swapped": (["tangent.pth", "score.pth"], ["tangent.pth: a score network", "2 and 2"]),
     "twice": (["score.pth", "score.pth"], ["score.pth: a tangent network", "3 and 2"]),
     "unlike": (
-        ["score.pth", "spatial_tangent.pth"],
+        ["score.pth", "spatial_tangent.pth", "--activation", "Tanh"],
         ["tangent network is of 3 dimensions, the score network of 2"],
     ),
     "no points": (
-        ["spatial_score.pth", "spatial_tangent.pth"],
+        ["spatial_score.pth", "spatial_tangent.pth", "--activation", "SiLU"],
         ["recovered in the plane only", "3 dimensions", "--points"],
     ),
     "dimensions": (
         ["score.pth", "tangent.pth", "--points", "{inputs}/spatial.txt"],
         ["spatial.txt", "3 coordinates", "score network 2"],
+    ),
+    "activation": (["untold.pth", "tangent.pth"], ["untold.pth: ", "--activation", "ReLU"]),
+    "three activations": (
+        ["score.pth", "tangent.pth", "--activation", "Tanh,Tanh,Tanh"],
+        ["--activation takes one name", "'Tanh,Tanh,Tanh'"],
+    ),
+    "several": (
+        ["both.pth", "tangent.pth"],
+        ["both.pth: ", "score_state_dict, tangent_state_dict", "--key"],
     ),
     "missing points": (
         ["score.pth", "tangent.pth", "--points", "none.csv"],

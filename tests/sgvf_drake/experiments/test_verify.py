@@ -10,6 +10,7 @@ from sgvf_drake.experiments.verify import verification_summary
 from sgvf_drake.fields import PaperComposition, Perceptron
 from sgvf_drake.lyapunov import verify
 from sgvf_drake.paths import Piece, ReferencePath
+from tests.fields import tilted_circle
 from tests.helpers import circle as circle_of
 from tests.helpers import ink, names_in, summary_of
 
@@ -134,3 +135,17 @@ def test_an_agent_that_leaves_ends_the_claim(tmp_path, monkeypatch, circle, foun
     assert summary["holds"] is False
     assert "left the sublevel set" in summary["reason"]
     assert summary["assumptions"]["a3"]["remained_fraction"] < 1
+
+
+@pytest.mark.full
+def test_in_space_the_same_is_left(tmp_path):
+    field, _ = tilted_circle()
+    summary = run_verify(field, None, tmp_path / "out", starts=16)
+    assert set(summary) == KEYS
+    assert summary["holds"], summary["reason"]
+    assert summary["components"] == [{"pieces": (0,), "holes": 1}]
+    decrease = summary["theorem"]["decrease"]
+    assert decrease["starts"] >= 8
+    assert decrease["stayed_fraction"] == 1.0
+    assert names_in(tmp_path / "out") == {"summary.json", "verify.png", "theorem.png"}
+    assert 0.01 < ink(tmp_path / "out" / "verify.png") < 0.95

@@ -1,6 +1,5 @@
 """Directed fields against sums over components, finite differences, files, compiled code."""
 
-import itertools
 from pathlib import Path
 
 import numpy as np
@@ -11,58 +10,21 @@ from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError, FieldFileError
 from sgvf_drake.fields import (
     DirectedField,
-    FourierFeatures,
     GaussianMixture,
-    Perceptron,
     RobustComposition,
     StrandMixture,
-    StrandNetwork,
     load_field,
     load_guiding_field,
 )
 from sgvf_drake.fields.strands import ONE_WAY_SHARPNESS, TWO_WAY_SHARPNESS
 from sgvf_drake.learning.strands import find_strands
 from sgvf_drake.paths.finding import find_paths
+from tests.fields import DIRECTED_KINDS as KINDS
+from tests.fields import random_directed_field as field_of
+from tests.fields import random_strands as strands_of
 from tests.networks import SHAPES
 
 Array = NDArray[np.float64]
-
-SIGMA = 0.4
-KINDS = ("one-way", "two-way", "both", "learned one-way", "learned two-way")
-
-
-def strands_of(kind: str, dim: int) -> StrandMixture | StrandNetwork:
-    rng = np.random.default_rng(1)
-    if kind.startswith("learned"):
-        features = FourierFeatures(rng.normal(size=(8, dim)), rng.normal(size=8), passed=dim)
-        widths = [features.num_outputs, 12, 12, 2 * dim]
-        weights = tuple(
-            rng.normal(size=(b, a)) / np.sqrt(a) for a, b in itertools.pairwise(widths)
-        )
-        biases = tuple(rng.normal(size=width) for width in widths[1:])
-        network = Perceptron(weights, biases, features)
-        return StrandNetwork(network, SIGMA, two_way=kind.endswith("two-way"))
-    points = rng.uniform(-1, 1, (30, dim))
-    directions = rng.normal(size=(30, dim))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    one_way = {"one-way": np.ones(30, bool), "two-way": np.zeros(30, bool)}.get(
-        kind, np.arange(30) < 12
-    )
-    return StrandMixture(points, directions, one_way, SIGMA)
-
-
-def field_of(kind: str, dim: int, ends: bool = False) -> DirectedField:
-    rng = np.random.default_rng(2)
-    cloud = PointCloud(rng.uniform(-3, 5, (40, dim)))
-    return DirectedField(
-        cloud=cloud,
-        sigma=SIGMA,
-        composition=RobustComposition(2 * SIGMA, SIGMA),
-        recipe="exact",
-        seed=3,
-        end_points=cloud.points[:2] if ends else None,
-        strands=strands_of(kind, dim),
-    )
 
 
 def samples(dim: int, count: int = 12, scale: float = 1.0) -> tuple[Array, Array]:

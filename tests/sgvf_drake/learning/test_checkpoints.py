@@ -34,9 +34,9 @@ def prefixed(network, prefix="net."):
     )
 
 
-def check_same(path, network, kind):
+def check_same(path, network, kind, **options):
     """A file holds the function of a network in torch; returns what was read."""
-    loaded = load_checkpoint(path, kind)
+    loaded = load_checkpoint(path, kind, **options)
     x = np.random.default_rng(0).uniform(-5, 5, (50, loaded.num_inputs))
     with torch.no_grad():
         expected = network.double()(torch.as_tensor(x)).numpy()
@@ -62,6 +62,12 @@ FORMS = (
     lambda network: {"state_dict": network.state_dict()},
     lambda network: {"state_dict": network.state_dict(), "activation": None},
     lambda network: dict(network.named_parameters()),
+    lambda network: {
+        "epoch": 7,
+        "model_state_dict": prefixed(network),
+        "optimizer_state_dict": torch.optim.Adam(network.parameters()).state_dict(),
+    },
+    lambda network: {"model": network.state_dict(), "activation": "SiLU"},
 )
 
 
@@ -69,11 +75,11 @@ FORMS = (
 def test_every_form_of_a_file_is_the_same_network(make_sequential, save, dtype):
     for form in FORMS:
         network = make_sequential(SCORE, dtype=dtype)
-        loaded = check_same(save(form(network)), network, "score")
+        loaded = check_same(save(form(network)), network, "score", activation="silu")
         assert loaded.activation.name == "SiLU"
     old = save(network.state_dict(), _use_new_zipfile_serialization=False)
     before = torch.get_rng_state()
-    check_same(old, network, "score")
+    check_same(old, network, "score", activation="SiLU")
     assert torch.equal(torch.get_rng_state(), before)
     assert torch.get_default_dtype() == torch.float32
 
@@ -84,6 +90,37 @@ def test_the_activation_is_the_one_that_is_told(make_sequential, save):
             network = make_sequential(TANGENT, activation.name)
             content = {"state_dict": prefixed(network), "hidden": 16, "activation": name}
             check_same(str(save(content)), network, "tangent")
+
+
+def test_an_activation_that_is_not_told_is_asked_for(make_sequential, save):
+    for name in ("ReLU", "Tanh", "SiLU"):
+        network = make_sequential(TANGENT, name)
+        path = save(network.state_dict())
+        with pytest.raises(FieldFileError, match=r"net\.pth: .* with --activation, .* ReLU"):
+            load_checkpoint(path, "tangent")
+        check_same(path, network, "tangent", activation=name)
+    with pytest.raises(FieldFileError, match=r"net\.pth: unknown activation 'Mish'"):
+        load_checkpoint(path, "tangent", activation="Mish")
+    told_tanh = save({"state_dict": network.state_dict(), "activation": "tanh"})
+    with pytest.raises(FieldFileError, match="the activation is 'tanh', not 'ReLU'"):
+        load_checkpoint(told_tanh, "tangent", activation="ReLU")
+    assert load_checkpoint(told_tanh, "tangent", activation="Tanh").activation.name == "Tanh"
+    # Without a hidden layer there is nothing to ask for.
+    linear = make_sequential([2, 2])
+    check_same(save(linear.state_dict()), linear, "tangent")
+
+
+def test_of_several_state_dicts_one_is_chosen(make_sequential, save):
+    networks = {name: make_sequential(TANGENT) for name in ("model", "ema")}
+    states = {name: network.state_dict() for name, network in networks.items()}
+    path = save({"epoch": 3, "activation": "SiLU"} | states)
+    with pytest.raises(FieldFileError, match=r"net\.pth: several .*: model, ema; .* --key"):
+        load_checkpoint(path, "tangent")
+    for name, network in networks.items():
+        check_same(path, network, "tangent", key=name)
+    for key, match in (("raw", "no entry 'raw'"), ("epoch", "is needed, not int")):
+        with pytest.raises(FieldFileError, match=match):
+            load_checkpoint(path, "tangent", key=key)
 
 
 def told(**entries):
@@ -104,7 +141,7 @@ BAD_CONTENT = (
         lambda state: {"hiddens": [16, 16], "activation": "SiLU"},
         "state_dict is missing beside hiddens, activation",
     ),
-    (lambda state: {"model": state}, "'model' is not the weight or bias"),
+    (lambda state: {"model": {"net": state}}, "'model' is not the weight or bias"),
     # What else arrays can be, `test_importing` refuses.
     (changed("2.weight", lambda a: a * torch.nan), "2.weight is not all finite"),
     (changed("0.weight", lambda a: a[:, 1:]), "a score network .* not 2 and 2"),
@@ -127,7 +164,7 @@ def test_content_that_is_no_network_is_refused(make_sequential, save):
     for spoil, match in BAD_CONTENT:
         path = save(spoil(dict(make_sequential(SCORE).state_dict())))
         with pytest.raises(FieldFileError, match=rf"net\.pth: {match}"):
-            load_checkpoint(path, "score")
+            load_checkpoint(path, "score", activation=None if "activation" in match else "SiLU")
     content = {"state_dict": make_sequential([2, 2]).state_dict(), "hidden": 16}
     with pytest.raises(FieldFileError, match=r"hidden is 16, but the tensors have .* \[\]"):
         load_checkpoint(save(content), "tangent")

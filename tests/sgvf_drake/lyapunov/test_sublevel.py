@@ -2,12 +2,15 @@
 
 import numpy as np
 import pytest
+from scipy import ndimage
+from scipy.special import i0e
 
 from sgvf_drake.fields import GaussianMixture
 from sgvf_drake.lyapunov import LyapunovFunction, sublevel_set
-from sgvf_drake.lyapunov.sublevel import _holes
+from sgvf_drake.lyapunov.sublevel import Raster
 from sgvf_drake.paths import Piece, ReferencePath
 from tests import helpers
+from tests.fields import ACROSS
 
 BOX = (np.array([-5.0, -5.0]), np.array([5.0, 5.0]))
 
@@ -111,4 +114,78 @@ def test_a_hole_hangs_together_across_a_corner():
     corner, apart = np.ones((2, 4, 5), int)
     corner[1, 1] = corner[2, 2] = 0
     apart[1, 1] = apart[2, 3] = 0
-    assert (_holes(corner, 1), _holes(apart, 1)) == (1, 2)
+    assert [Raster(np.argwhere(cells)).holes for cells in (corner, apart)] == [[1], [2]]
+
+
+@pytest.mark.parametrize(("shape", "count"), [((12, 15), 60), ((6, 7, 8), 40)])
+def test_components_edges_and_what_is_enclosed_are_those_of_ndimage(shape, count):
+    rng = np.random.default_rng(0)
+    corners = np.ones((3,) * len(shape))
+    for _ in range(count):
+        cells = rng.random(shape) < rng.uniform(0.3, 0.9)
+        found = Raster(np.argwhere(cells))
+        labels, number = ndimage.label(cells)
+        np.testing.assert_array_equal(labels[tuple(found.numbers.T)] - 1, found.label)
+        edge = cells & ~ndimage.binary_erosion(cells)
+        np.testing.assert_array_equal(np.argwhere(edge), found.numbers[found.on_edge])
+        outside = [np.pad(labels != k, 1, constant_values=True) for k in range(1, number + 1)]
+        enclosed = [ndimage.label(part, corners)[1] - 1 for part in outside]
+        assert (found.holes if len(shape) == 2 else found.cavities) == enclosed
+
+
+def test_holes_of_solids():
+    x, y, z = np.indices((41, 41, 21)) - np.array([20, 20, 10])[:, None, None, None]
+
+    def ring(middle, radius):
+        return (np.hypot(x - middle, y) - radius) ** 2 + z**2 <= 9
+
+    ball, core = x**2 + y**2 + z**2 <= 81, x**2 + y**2 + z**2 <= 16
+    tunnel = (x**2 + y**2 <= 4) & (z > 0)
+    for solid, holes, cavities in (
+        (ball, 0, 0),
+        (ball & ~core, 0, 1),
+        (ball & ~core & ~tunnel, 0, 0),
+        (ring(0, 9), 1, 0),
+        (ring(-6, 7) | ring(6, 7), 2, 0),
+    ):
+        found = Raster(np.argwhere(solid))
+        assert (found.holes, found.cavities) == ([holes], [cavities])
+
+
+@pytest.mark.parametrize("level", [0.05, 1.0, 20.0])
+def test_around_a_circle_in_space_it_is_a_solid_torus(level):
+    """Of a circle of density, V is known at a distance r from the axis and z from the plane."""
+    radius, sigma, box = 2.0, 0.1, (np.full(3, -3.0), np.full(3, 3.0))
+    points = circle(radius, count=320) @ ACROSS
+    path = ReferencePath((Piece(circle(radius) @ ACROSS, closed=True),))
+    found = sublevel_set(LyapunovFunction(GaussianMixture(points, sigma)), level, path, box)
+    width = sigma * np.sqrt(2 * level)
+    r, z = np.mgrid[0 : radius + 2 * width : 2000j, -2 * width : 2 * width : 1000j]
+    V = ((r - radius) ** 2 + z**2) / (2 * sigma**2) - np.log(i0e(r * radius / sigma**2))
+    inside = V - V.min() <= level
+    cell = (r[1, 0] - r[0, 0]) * (z[0, 1] - z[0, 0])
+    assert found.area == pytest.approx((2 * np.pi * r * cell)[inside].sum(), rel=0.03)
+    farthest = np.hypot(r - radius, z)[inside].max()
+    assert 0.8 * farthest < found.half_width <= farthest + 0.005
+    (component,) = found.components
+    assert (component.pieces, component.holes, component.cavities) == ((0,), 1, 0)
+    assert found.compact
+    assert found.follows(path.closed)
+
+
+def test_an_arc_in_space_has_no_hole_and_a_shell_is_no_tube():
+    t = np.linspace(0, 4, 300)
+    arc = np.column_stack([np.cos(t), np.sin(t), 0.3 * t])
+    box = (np.full(3, -2.0), np.full(3, 2.0))
+    path = ReferencePath((Piece(arc, closed=False),))
+    found = sublevel_set(LyapunovFunction(GaussianMixture(arc, 0.1)), 1.0, path, box)
+    assert [(c.pieces, c.holes) for c in found.components] == [((0,), 0)]
+    assert found.follows(path.closed)
+    # Fibonacci's lattice on a sphere: the low levels are a shell around its middle.
+    height = 1 - 2 * (np.arange(600) + 0.5) / 600
+    turn = np.pi * (1 + np.sqrt(5)) * np.arange(600)
+    flat = np.sqrt(1 - height**2)
+    sphere = np.column_stack([flat * np.cos(turn), flat * np.sin(turn), height])
+    shell = sublevel_set(LyapunovFunction(GaussianMixture(sphere, 0.2)), 1.0, path, box)
+    assert [(c.pieces, c.holes, c.cavities) for c in shell.components] == [((0,), 0, 1)]
+    assert not shell.follows(path.closed)

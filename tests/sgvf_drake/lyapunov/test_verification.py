@@ -5,9 +5,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.lyapunov import find_band, take_samples, verification, verify
+from sgvf_drake.lyapunov import (
+    LyapunovFunction,
+    find_band,
+    inward_margins,
+    samples,
+    take_samples,
+    verify,
+)
+from sgvf_drake.lyapunov.band import LEVEL_MARGIN
 from sgvf_drake.lyapunov.verification import STAND_IN, Violation
+from sgvf_drake.paths import Piece, ReferencePath
+from tests.fields import ACROSS, SPIN, TURN, exact_field, linear_network, tilted_circle
+from tests.helpers import circle
 
 # One noise level of V is enough where its choice is not the matter.
 ONE = (1.0,)
@@ -122,7 +134,7 @@ def test_no_tangent_is_too_slow(ring_field, linear):
 @pytest.mark.full
 def test_a_field_that_flows_out_has_no_band(ring_field, linear, monkeypatch):
     # An area is as exact as the grid is fine.
-    monkeypatch.setattr(verification, "take_samples", take_samples)
+    monkeypatch.setitem(samples.GRID_SIZES, 2, 301)
     field, path = ring_field(tangent=linear(np.eye(2)), composition="paper", **COARSE)
     found = verify(field, path, ratios=ONE)
     assert not found.holds
@@ -165,6 +177,89 @@ def test_a_trained_field_holds(robust_field, concentric):
     assert found.bounds[1].holds.all()
 
 
-def test_spatial_fields_are_refused(make_field, ring):
-    with pytest.raises(ConfigurationError, match="only planar fields"):
-        verify(make_field("robust", dim=3), ring[1])
+def test_fields_beyond_space_are_refused(make_field, ring):
+    with pytest.raises(ConfigurationError, match="checked in 2-D and 3-D, not in 4-D"):
+        verify(make_field("robust", dim=4), ring[1])
+
+
+@pytest.fixture(scope="module")
+def tilted():
+    """A field around a tilted circle in space, the circle, and its verification."""
+    field, _ = tilted_circle()
+    path = ReferencePath((Piece(circle(4.0, 4096) @ ACROSS, closed=True),))
+    return field, path, verify(field, path, ratios=ONE)
+
+
+def test_a_rotation_about_a_circle_in_space_holds(tilted):
+    field, _, found = tilted
+    assert found.holds, found.reason
+    (component,) = found.band.tube.components
+    assert (component.pieces, component.holes, component.cavities) == ((0,), 1, 0)
+    assert found.slowest > 0.99
+    # The band ends below the lowest level on the border of the box; the axis of the circle, on
+    # which a zero of m lies, is above.
+    zeros = [violation for violation in found.violations if violation.kind == "zero"]
+    assert [(zero.detail, zero.counts) for zero in zeros] == [("saddle", False)]
+    assert np.linalg.norm(zeros[0].point) < 0.01
+    lower, upper = field.cloud.box
+    faces = np.random.default_rng(0).uniform(lower, upper, (3, 2, 40_000, 3))
+    for axis, (low, high) in enumerate(zip(lower, upper, strict=True)):
+        faces[axis, 0, :, axis], faces[axis, 1, :, axis] = low, high
+    border = found.function(faces.reshape(-1, 3)).min()
+    assert found.band.c_out == pytest.approx((1 - LEVEL_MARGIN) * border, rel=0.01)
+    assert found.band.basin.compact
+
+
+def test_margins_are_those_of_the_same_circle_in_the_plane(tilted):
+    """Flat circles tolerate the same on each level, wherever they lie in space."""
+    field, _, found = tilted
+    levels = found.margins.levels
+    turned = np.linalg.qr(np.random.default_rng(0).standard_normal((3, 3)))[0]
+    spun = turned @ SPIN @ turned.T
+    unit = field.cloud.unit_length
+    points = field.cloud.points
+    for cloud, tangent in (
+        (PointCloud(points @ turned.T), linear_network(spun, np.zeros(3))),
+        (PointCloud(points @ ACROSS.T), linear_network(TURN)),
+    ):
+        # The same noise and slope in the unit of the waypoints.
+        scale = unit / cloud.unit_length
+        other = exact_field(cloud, tangent, sigma=0.4 * scale, gain=0.8 * scale)
+        function = LyapunovFunction.of(other)
+        ends = float(levels[0]), float(levels[-1])
+        margins = inward_margins(other, function, take_samples(other), *ends)
+        np.testing.assert_allclose(margins.e_star, found.margins.e_star, rtol=0.01)
+
+
+@pytest.mark.full
+def test_a_planted_sink_on_the_path_in_space_is_found(tilted):
+    field, path, _ = tilted
+    sink = path.pieces[0].vertices[700]
+    network = linear_network(-np.eye(3), field.cloud.normalize(sink))
+    planted = exact_field(field.cloud, network, sigma=0.4, gain=0.8)
+    found = verify(planted, path, ratios=ONE)
+    assert not found.holds
+    first = found.violations[0]
+    assert (first.kind, first.detail, first.counts) == ("zero", "sink", True)
+    np.testing.assert_allclose(first.point, sink, atol=0.02)
+    assert "m vanishes at (" in found.reason
+
+
+@pytest.mark.full
+def test_where_v_rises_in_space_is_told_with_its_volume(tilted):
+    field, path, _ = tilted
+    planted = exact_field(
+        field.cloud, linear_network(np.eye(3), np.zeros(3)), 0.4, 0.8, composition="paper"
+    )
+    found = verify(planted, path, ratios=ONE)
+    assert found.band is None
+    first = next(violation for violation in found.violations if violation.kind == "rise")
+    assert first.counts
+    # Cells of the grid count as whole ones, so that those on the border reach beyond it.
+    half = (found.samples.axes[0][1] - found.samples.axes[0][0]) / 2
+    lower, upper = field.cloud.box[0] - half, field.cloud.box[1] + half
+    x = np.random.default_rng(1).uniform(lower, upper, (40_000, 3))
+    rising = found.function.along(planted, x) > -0.01 / field.cloud.unit_length
+    rising &= path.project(x).distance > STAND_IN * field.cloud.unit_length
+    total = sum(v.area for v in found.violations if v.kind == "rise")
+    assert total == pytest.approx(rising.mean() * (upper - lower).prod(), rel=0.03)
