@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from sgvf_drake.certificate.document import bounds_hold
-from sgvf_drake.certificate.field_model import BoundedField
+from sgvf_drake.certificate.field_model import ExactField
 from sgvf_drake.certificate.flown_jerk import bound_flown, least_progress, region
 from sgvf_drake.certificate.tube import Tube
 from sgvf_drake.certificate.vehicle import (
@@ -151,7 +151,7 @@ class VehicleResult:
 
 
 def prove_piece(
-    field: BoundedField,
+    field: ExactField,
     tube: Tube,
     walls: Walls,
     e_star: Sequence[float],

@@ -39,7 +39,6 @@ def fields(tmp_path_factory, make_field):
         ("ring", ring),
         ("stopping", replace(ring, tangent_network=linear_network([[1.0, 0.0], [0.0, 0.0]]))),
         ("open", make_field("robust", ends=1)),
-        ("spatial", make_field("robust", 3)),
         ("tilted", tilted_circle()[0]),
     ):
         # The cloud has no shape that a reference could be made of.
@@ -284,7 +283,6 @@ CHECK = ("--check", CERTIFICATE)
 COLUMNS = "--columns x,y chooses columns of --reference; give both"
 NO_FIELD = "broken.safetensors: not a whole safetensors file"
 BAD = [
-    ("verify", ("spatial",), "only planar fields are checked, not one of 3-D"),
     ("verify", ("ring", "--starts", 0), "the number of starts must be at least 1, not 0"),
     ("verify", ("ring", "--fly", "--speed", -1), "speed must be a positive number, not -1.0"),
     ("verify", ("ring", "--scale", 0), "the scale must be a positive number, not 0.0"),
