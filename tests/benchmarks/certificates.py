@@ -15,14 +15,16 @@ from scipy.integrate import solve_ivp
 
 import sgvf_drake as sgvf
 from sgvf_drake.arrays import BoolArray, FloatArray
-from sgvf_drake.certificate import Cells, Certificate, check, prove_basin
+from sgvf_drake.certificate import Cells, Certificate, check, check_network, prove_basin
 from sgvf_drake.certificate.boxes import Boxes
 from sgvf_drake.clouds import PointCloud
 from sgvf_drake.experiments import as_flown
-from sgvf_drake.fields import GuidingField
+from sgvf_drake.fields import DirectedField, GuidingField
 from sgvf_drake.learning import TrainingConfig, train
 from sgvf_drake.paths import make_shape
+from sgvf_drake.paths.planning import covering
 from tests.benchmarks.measuring import printed
+from tests.benchmarks.networks import cloud_of
 from tests.networks import recorded_motions, recorded_passes
 
 Row = dict[str, Any]
@@ -34,6 +36,7 @@ SHAPES = (
 # Of the paper's flights, in m/s.
 FLIGHTS = (("concentric-flight", 0.45), ("separated-flight", 2.0))
 RECORDINGS = 5
+ROUTES = ("eight", "T", "Y", "Y in space")
 # Robots that are simulated of each kind, and for how long, in lengths of the unit.
 STARTS, DURATION = 400, 20.0
 
@@ -141,6 +144,31 @@ def in_space(name: str) -> Row:
     return {"curve": name} | proved(field_of(space_curve(name)))[1]
 
 
+def route(name: str) -> Row:
+    """All sections and turns of a network, by its name or from a file, and a covering route."""
+    result = train(cloud_of(name), TrainingConfig(recipe="exact"))
+    field = result.field
+    assert isinstance(field, DirectedField)
+    legs = covering(field.network)
+    # Compiled first.
+    sgvf.certify_network(field, legs)
+    begin = time.process_time()
+    whole = sgvf.certify_network(field)
+    seconds = time.process_time() - begin
+    along = sgvf.certify_network(field, legs)
+    checked = check_network(whole, field).certified and check_network(along, field).certified
+    low, high = along.route_time_low, along.route_time_high
+    return {
+        **{"network": Path(name).stem, "whole": whole.certified, "route": along.certified},
+        "checked": checked,
+        "sections": len(whole.sections),
+        "because": whole.reason,
+        "turns": len(whole.turns),
+        "bounds_%": None if low is None or high is None else 100 * (high - low) / (high + low),
+        **{"patches": whole.boxes, "cpu_s": seconds},
+    }
+
+
 def starts(name: str, seed: int) -> Row:
     """Robots from proved squares, from the walls, and from squares that are not proved."""
     field = field_of(make_shape(name)[0], seed=seed)
@@ -193,6 +221,7 @@ TABLES: dict[str, Callable[..., Row]] = {
     "handwriting": handwriting,
     "space": in_space,
     "starts": starts,
+    "routes": route,
 }
 
 
@@ -205,6 +234,7 @@ def cases(table: str, options: argparse.Namespace) -> Iterator[tuple[Any, ...]]:
         "handwriting": ((name,) for name in recorded_motions()[:RECORDINGS]),
         "space": (("trefoil",), ("helix",), ("tilted circle",)),
         "starts": itertools.product(SHAPES, range(1)),
+        "routes": ((name,) for name in (*ROUTES, *options.networks)),
     }[table]
 
 
@@ -213,6 +243,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("tables", nargs="*", help=", ".join(TABLES), default=list(TABLES))
     parser.add_argument("--courses", nargs="+", default=[], help="files of circuits")
+    parser.add_argument("--networks", nargs="+", default=[], help="files of networks")
     parser.add_argument("--seeds", type=int, default=3, help="fields of each shape")
     parser.add_argument("--jobs", type=int, default=1)
     options = parser.parse_args()
