@@ -147,6 +147,11 @@ def _waves(u: FloatArray) -> Jet:
     return value, np.concatenate([cosine, -sine], axis=-1), -value
 
 
+def _waves_higher(u: FloatArray) -> tuple[FloatArray, FloatArray]:
+    value, slope, _ = _waves(u)
+    return -slope, value
+
+
 def _fall(y: FloatArray) -> Jet:
     fourth = y**4
     value = 1 / (1 + fourth)
@@ -160,7 +165,7 @@ SINE = Smooth(
 COSINE = Smooth(
     _cosine, -1.0, 1.0, 1.0, higher=lambda u: (np.sin(u), np.cos(u)), bounds=(1.0, 1.0)
 )
-WAVES = Smooth(_waves, -1.0, 1.0, 1.0)
+WAVES = Smooth(_waves, -1.0, 1.0, 1.0, higher=_waves_higher, bounds=(1.0, 1.0))
 """Sines of the first half of functions, and cosines of the second, which is the first again."""
 
 
