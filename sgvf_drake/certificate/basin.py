@@ -204,14 +204,12 @@ class _Graph:
 
     Attributes:
         after: (n, n) which square leads to which; the goal to none.
-        rows: (n,) which squares these are.
         out: (n,) which lead out of the box.
         labels: (n,) the set of squares that lead to each other.
         stays: (n,) whether orbits may stay in the set.
     """
 
     after: csr_array
-    rows: BoolArray
     out: BoolArray
     labels: IntArray
     stays: BoolArray
@@ -224,7 +222,7 @@ class _Graph:
         after = csr_array((np.ones(len(source), np.int8), (source, target)), shape=(n, n))
         labels = connected_components(after, directed=True, connection="strong")[1]
         stays = ~_above_zero(labels, known.facts[:, ALONG]) & ~known.goal & rows
-        return cls(after, rows, out & rows, labels, stays)
+        return cls(after, out & rows, labels, stays)
 
     def going_away(self, field: PlanarField, known: "_Known", fences: Fences) -> "_Graph":
         """Returns the same without the sets in which robots go away from inside a fence."""
@@ -421,7 +419,7 @@ def _basin(field: PlanarField, known: _Known, graphs: _Graphs, fences: Fences) -
             area = _part_of_box(field, cells, one)
             excluded.append(ExcludedSet((x, y), area, is_left))
     comes = _comes(known, graphs)
-    almost = comes | known.goal | ~graphs.whole.leads_to(never | graphs.whole.out)
+    almost = comes | ~graphs.whole.leads_to(never | graphs.whole.out)
     return Basin(
         cells,
         fences.fences,

@@ -6,6 +6,7 @@ and the errors that hold are iterated from those of the start until they do not 
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from functools import cache
 import math
 from typing import Any
 
@@ -130,7 +131,7 @@ class Trial:
         self, start: ErrorBounds, bounds: FlownBounds, centre: float, disturbance: float
     ) -> tuple[ErrorBounds, Linear] | None:
         """Returns bounds that hold from a start on, with the linear system; None: none do."""
-        errors, loop = start, self._loop(centre)
+        errors, loop = start, _loop(self.law, centre)
         if loop is None:
             return None
         for _ in range(ITERATIONS):
@@ -171,11 +172,6 @@ class Trial:
             low, high = (share, high) if holds else (low, share)
         return low
 
-    def _loop(self, centre: float) -> Loop | None:
-        if centre not in _LOOPS.setdefault(self.law, {}):
-            _LOOPS[self.law][centre] = linear_loop(self.law, Linear(1.0, (0.9, 1.1), centre))
-        return _LOOPS[self.law][centre]
-
     def _linear(self, errors: ErrorBounds, bounds: FlownBounds, centre: float) -> Linear:
         """Returns the linear system with the bounds of |q| / g that errors have."""
         law, g = self.law, self.law.gravity
@@ -186,7 +182,10 @@ class Trial:
         return Linear(1.0, (low * (1 - 1e-5), high * (1 + 1e-5)), centre)
 
 
-_LOOPS: dict[VehicleLaw, dict[float, Loop | None]] = {}
+@cache
+def _loop(law: VehicleLaw, centre: float) -> Loop | None:
+    """Returns the responses of the linear system at K_0, which depend on nothing else."""
+    return linear_loop(law, Linear(1.0, (0.9, 1.1), centre))
 
 
 def _pairs(one: ErrorBounds, other: ErrorBounds) -> list[tuple[float, float]]:
