@@ -33,7 +33,7 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components
 from sgvf_drake.arrays import BoolArray, FloatArray, IntArray
 from sgvf_drake.certificate.boxes import Boxes
 from sgvf_drake.certificate.cells import SIDES, UNIT, Cells
-from sgvf_drake.certificate.fence_search import FINE, find_fences
+from sgvf_drake.certificate.fence_search import FINE, fence_upstream, fences_around_zeros
 from sgvf_drake.certificate.fences import Fence, Fenced, Fences
 from sgvf_drake.certificate.field_model import (
     PerturbedField,
@@ -258,12 +258,10 @@ class _Graphs:
     """How squares lead to each other, and what that says.
 
     Attributes:
-        whole: The graph of all.
-        outside: That of the squares that are not all within a fence.
+        outside: The graph of the squares that are not all within a fence.
         inside: That of the squares that are not all outside of fences.
     """
 
-    whole: _Graph
     outside: _Graph
     inside: _Graph
 
@@ -271,6 +269,10 @@ class _Graphs:
     def stays(self) -> BoolArray:
         """In which squares (n,) robots may stay: for good outside of fences, or within."""
         return self.outside.stays | self.inside.stays
+
+
+Look = Callable[[GuidingField, _Known, _Graphs], list[Fence]]
+"""Proposes fences."""
 
 
 def find_basin(
@@ -283,7 +285,8 @@ def find_basin(
         walls: Walls that are proved.
         progress: Told how far it is.
     """
-    fences, lost, looked = Fences.proved(field, ()), 1.0, False
+    fences, lost = Fences.proved(field, ()), 1.0
+    looks: list[Look] = [_beside_lines, _around_zeros]
     known = _Known.of(field, _around(walls), walls, fences)
     evaluated = known.evaluated
     for number in count():
@@ -293,14 +296,15 @@ def find_basin(
         if not 0 < divisible.sum() <= MOST_AT_ONCE:
             leads = ~_comes(known, graphs)
             before, lost = lost, _part_of_box(field, known.cells, leads)
-            if lost > FEW and not looked:
-                looked = True
-                fences = Fences.proved(field, find_fences(field, _places(known, graphs)))
+            gains = before - lost > GAIN
+            divisible = leads & ~known.fenced.within & (known.cells.size > 1) & gains
+            # Fences around zeros come first, and others where nothing else helps.
+            if lost > FEW and looks and (len(looks) > 1 or not gains):
+                fences = fences.joined(Fences.proved(field, looks.pop()(field, known, graphs)))
                 known = known.beside(fences)
                 divisible = known.fenced.met & (UNIT * known.cells.size > FINE)
-            else:
-                divisible = leads & ~known.fenced.within & (known.cells.size > 1)
-                divisible &= before - lost > GAIN
+                if looks and not divisible.any():
+                    continue
         if not 0 < divisible.sum() <= MOST_AT_ONCE:
             break
         parts = _Known.of(field, known.cells[divisible].quarters(), walls, fences)
@@ -310,19 +314,32 @@ def find_basin(
     return replace(_basin(field, known, graphs, fences), evaluated=evaluated)
 
 
+def _around_zeros(field: GuidingField, known: _Known, graphs: _Graphs) -> list[Fence]:
+    return fences_around_zeros(field)
+
+
+def _beside_lines(field: GuidingField, known: _Known, graphs: _Graphs) -> list[Fence]:
+    """Returns fences upstream of where robots may stay outside of fences."""
+    graph, boxes = graphs.outside, known.cells.boxes
+    fences: list[Fence] = []
+    left = graph.stays & ~known.fenced.touched
+    while left.any():
+        # What is downstream comes first: its fence holds what is upstream too.
+        reached = breadth_first_order(graph.after, np.argmax(left), return_predecessors=False)
+        last = reached[left[reached]][-1]
+        left[graph.labels == graph.labels[last]] = False
+        if (fence := fence_upstream(field, boxes.centers[last])) is not None:
+            fences.append(fence)
+            left[left] = ~Fences((fence,)).around(boxes[left]).touched
+    return fences
+
+
 def _staying(field: PlanarField, known: _Known, graphs: _Graphs) -> BoolArray:
     """Tells which squares (n,) to divide of those where robots may stay."""
     found = graphs.stays & (known.cells.size > 1)
     if _part_of_box(field, known.cells, found) > FEW:
         return found
     return found & ~known.growing(field, found)
-
-
-def _places(known: _Known, graphs: _Graphs) -> FloatArray:
-    """Returns the middle (n, 2) of each set where robots may stay, normalised."""
-    labels, centers = graphs.whole.labels, known.cells.boxes.centers
-    sets = np.unique(labels[graphs.stays])
-    return np.array([centers[labels == one].mean(axis=0) for one in sets]).reshape(-1, 2)
 
 
 def prove_basin(
@@ -358,36 +375,33 @@ def _around(walls: Sequence[Walls]) -> Cells:
 
 def _graphs(field: PlanarField, known: _Known, fences: Fences) -> _Graphs:
     ways, out = _ways(known)
-    fenced = known.fenced
-    whole, outside, inside = (
-        _Graph.of(known, ways, out, rows)
-        for rows in (np.ones_like(out), ~fenced.within, fenced.touched)
-    )
-    return _Graphs(whole, outside.going_away(field, known, fences), inside)
+    outside = _Graph.of(known, ways, out, ~known.fenced.within)
+    inside = _Graph.of(known, ways, out, known.fenced.touched)
+    return _Graphs(outside.going_away(field, known, fences), inside)
 
 
 def _ways(known: _Known) -> tuple[IntArray, BoolArray]:
     """Returns which squares lead to which (w, 2), and which (n,) out of the box."""
-    cells, facts, goal = known.cells, known.facts, known.goal
-    n = len(cells)
-    source, target, may = [], [], []
-    out = np.zeros(n, bool)
+    cells, goal = known.cells, known.goal
+    least, most = known.facts[:, LEAST], known.facts[:, MOST]
+    out, ways = np.zeros(len(cells), bool), []
     for k, (axis, sign) in enumerate(SIDES):
         beyond = cells.neighbours(axis, sign)
-        outward = sign * facts[:, [LEAST.start + k, MOST.start + k]][:, ::sign]
-        forwards, backwards = ~(outward[:, 1] < 0), ~(outward[:, 0] > 0)
-        out |= (beyond == -1) & forwards & ~goal
-        own = np.flatnonzero(beyond >= 0)
-        source += [own, beyond[own]]
-        target += [beyond[own], own]
-        may += [forwards[own], backwards[own]]
-    ways = np.concatenate(source) * n + np.concatenate(target)
-    # Squares of one size are each other's neighbours: both have to let pass.
-    order = np.argsort(ways, kind="stable")
-    ways, first = np.unique(ways[order], return_index=True)
-    ways = ways[np.logical_and.reduceat(np.concatenate(may)[order], first)]
-    ways = ways[~goal[ways // n]]
-    return np.column_stack([ways // n, ways % n]), out
+        own = np.flatnonzero(beyond != -2)
+        other, low, high = beyond[own], least[own, k], most[own, k]
+        # Squares of one size share the side, of which they know by themselves.
+        alike = (other >= 0) & (cells.size[own] == cells.size[other])
+        low[alike] = np.fmax(low[alike], least[other[alike], k ^ 1])
+        high[alike] = np.fmin(high[alike], most[other[alike], k ^ 1])
+        forwards, backwards = (~(high < 0), ~(low > 0))[::sign]
+        forwards &= ~goal[own]
+        out[own] |= forwards & (other == -1)
+        forwards &= other >= 0
+        # Those of another size do not come to it from the other side.
+        backwards &= (other >= 0) & ~goal[other] & ~alike
+        pairs = np.column_stack([own, other])
+        ways += [pairs[forwards], pairs[backwards, ::-1]]
+    return np.concatenate(ways), out
 
 
 def _comes(known: _Known, graphs: _Graphs) -> BoolArray:
@@ -409,17 +423,15 @@ def _above_zero(labels: IntArray, facts: FloatArray) -> BoolArray:
 def _basin(field: PlanarField, known: _Known, graphs: _Graphs, fences: Fences) -> Basin:
     """Returns what graphs say of the box."""
     cells, grows = known.cells, known.growing(field, graphs.stays)
-    never, excluded = np.zeros(len(cells), bool), []
+    comes, excluded = _comes(known, graphs), []
+    whole = _Graph.of(known, *_ways(known), np.ones_like(comes))
+    # Who passes gates again and again is neither outside nor inside for good.
+    never = whole.stays & known.fenced.at_gate
     for graph in (graphs.outside, graphs.inside):
-        for number in np.unique(graph.labels[graph.stays]):
-            one = graph.labels == number
-            is_left = bool(grows[one].all())
-            never[one] = not is_left
-            x, y = field.cloud.denormalize(cells.boxes.centers[one]).mean(axis=0).tolist()
-            area = _part_of_box(field, cells, one)
-            excluded.append(ExcludedSet((x, y), area, is_left))
-    comes = _comes(known, graphs)
-    almost = comes | ~graphs.whole.leads_to(never | graphs.whole.out)
+        sets, left = _excluded(field, known, graph, grows)
+        excluded += sets
+        never |= graph.stays & ~left
+    almost = comes | ~whole.leads_to(never | whole.out)
     return Basin(
         cells,
         fences.fences,
@@ -429,6 +441,27 @@ def _basin(field: PlanarField, known: _Known, graphs: _Graphs, fences: Fences) -
         tuple(sorted(excluded, key=lambda one: -one.area)),
         len(cells),
     )
+
+
+def _excluded(
+    field: PlanarField, known: _Known, graph: _Graph, grows: BoolArray
+) -> tuple[list[ExcludedSet], BoolArray]:
+    """Returns the sets of a graph in which robots may stay, and in which div m > 0, (n,)."""
+    rows = np.flatnonzero(graph.stays)
+    _, numbers = np.unique(graph.labels[rows], return_inverse=True)
+    left = np.bincount(numbers, ~grows[rows]) == 0
+    places = field.cloud.denormalize(known.cells.boxes.centers[rows])
+    x, y = (np.bincount(numbers, place) / np.bincount(numbers) for place in places.T)
+    areas = np.bincount(numbers, _parts_of_box(field, known.cells)[rows])
+    sets = [
+        ExcludedSet((x, y), area, is_left)
+        for x, y, area, is_left in zip(
+            x.tolist(), y.tolist(), areas.tolist(), left.tolist(), strict=True
+        )
+    ]
+    growing = np.zeros_like(graph.stays)
+    growing[rows] = left[numbers]
+    return sets, growing
 
 
 def _divergence(field: PlanarField, boxes: Boxes) -> FloatArray:
@@ -450,6 +483,10 @@ def _away(field: PlanarField, fence: Fence, boxes: Boxes) -> FloatArray:
 
 def _part_of_box(field: PlanarField, cells: Cells, rows: BoolArray) -> float:
     """Returns the part of the field's box that some squares make up."""
+    return float((1 - SLACK * len(cells)) * _parts_of_box(field, cells)[rows].sum())
+
+
+def _parts_of_box(field: PlanarField, cells: Cells) -> FloatArray:
+    """Returns the part (n,) of the field's box that each square makes up."""
     lower, upper = (field.cloud.normalize(corner) for corner in field.cloud.box)
-    area = cells.areas_in(lower, upper)[rows].sum() / np.prod(upper - lower)
-    return float((1 - SLACK * len(cells)) * area)
+    return cells.areas_in(lower, upper) / np.prod(upper - lower)

@@ -1,74 +1,78 @@
-"""Proposes fences: around zeros of m from which robots leave, and the lines that lead to them.
+"""Proposes fences: beside the lines along which robots come to where they stay, or part.
 
 Robots come to a saddle along its stable manifold alone: a line that comes from outside of the
-box, or from a source.  m points away from it on both sides.  So the fence runs on both sides of
-the line, as near as the squares can tell, and widens where m would not cross it otherwise.
-What it holds is narrow, however the line lies to the squares.
+box, or from a source.  m points away from it on both sides.  There are such lines without a
+saddle too: between two strands that m leads to, it runs along the line for a while.  So a fence
+runs on both sides of the line, as near as the squares can tell, and widens where m would not
+cross it otherwise.  What it holds is narrow, however the line lies to the squares.
 """
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.linalg import solve_continuous_lyapunov, sqrtm
-from scipy.optimize import root
 
 from sgvf_drake.arrays import FloatArray
 from sgvf_drake.certificate.cells import HALF
 from sgvf_drake.certificate.fences import Fence
-from sgvf_drake.certificate.field_model import ExactField
 from sgvf_drake.certificate.trajectories import Rate, rate_of
+from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import GuidingField
+from sgvf_drake.lyapunov import find_guiding_zeros
 
-# The half-width of a fence at a saddle, normalised, and squares that are small beside it.
+# The half-width of a fence at a line, normalised, and squares that are small beside it.
 NEAR = 0.06
 FINE = NEAR / 3
 # m crosses a fence at this angle at least, rad; the spacing of its vertices.
 ANGLE, STEP = 0.1, 0.02
-# A fence ends where it is as wide, or so far from the saddle.
+# A fence ends where it is as wide, or so far from where it begins.
 WIDEST, LONGEST = 1.0, 15.0
 # How precisely the line is traced: a fence beside it is what counts.
 PRECISION: dict[str, Any] = {"rtol": 1e-6, "atol": 1e-8}
+# A line without a saddle ends where m is as slow: at a source.
+SLOW = 0.01
 # Sides of an ellipse.
 SIDES = 64
-# m vanishes where it is as small; zeros that are as near to each other are one.
-STILL, SAME = 1e-9, 1e-3
 
 
-def find_fences(field: GuidingField, near: FloatArray) -> list[Fence]:
+def fences_around_zeros(field: GuidingField) -> list[Fence]:
     """Returns fences around saddles, and around zeros from which robots spiral away.
 
     Args:
         field: The field, in the plane.
-        near: (n, 2) places near zeros of m, normalised.
     """
+    try:
+        zeros = find_guiding_zeros(field).zeros
+    except ConfigurationError:
+        # m vanishes along a line: no fence is laid, and nothing is claimed.
+        return []
     found = []
-    for zero, jacobian in _zeros(field, near):
+    for zero in zeros:
+        place = field.cloud.normalize(zero.point)
+        jacobian = field.cloud.unit_length * field.value_and_jacobian(zero.point[None])[1][0]
         rates, directions = np.linalg.eig(jacobian)
-        if np.iscomplexobj(rates) and rates.real.min() > 0:
-            found.append(_around_focus(zero, jacobian))
-        elif np.isrealobj(rates) and rates.min() < 0 < rates.max():
-            found.append(_around_saddle(field, zero, directions[:, np.argmin(rates)]))
+        if zero.kind == "focus" and rates.real.min() > 0:
+            found.append(_around_focus(place, jacobian))
+        elif zero.kind == "saddle":
+            found.append(_around_saddle(field, place, directions[:, np.argmin(rates)]))
     return found
 
 
-def _zeros(field: GuidingField, near: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Returns zeros near some places, each once, and the Jacobian (2, 2) at each."""
-    center, unit = field.cloud.center, field.cloud.unit_length
-    found: list[FloatArray] = []
+def fence_upstream(field: GuidingField, place: FloatArray) -> Fence | None:
+    """Returns a fence around the line along which robots come to a place, which they leave.
 
-    def value_and_slope(z: FloatArray) -> tuple[FloatArray, FloatArray]:
-        m, jacobian = field.value_and_jacobian(center + unit * z)
-        return m, unit * jacobian
+    None where m hardly moves them.
 
-    for start in near:
-        zero = root(value_and_slope, start, jac=True, method="lm")
-        known = any(np.abs(zero.x - other).max() < SAME for other in found)
-        vanishes = np.abs(zero.fun).max() < STILL and np.abs(zero.x).max() < HALF
-        if vanishes and not known:
-            found.append(zero.x)
-            yield zero.x, value_and_slope(zero.x)[1]
+    Args:
+        field: The field, in the plane.
+        place: (2,) normalised.
+    """
+    rate = rate_of(field)
+    if np.linalg.norm(rate(0.0, place)) <= SLOW:
+        return None
+    left, right = _both_sides(rate, _backwards(rate, place, SLOW))
+    return Fence.through(np.concatenate([right, left[::-1]]))
 
 
 def _around_focus(focus: FloatArray, jacobian: FloatArray) -> Fence:
@@ -81,36 +85,44 @@ def _around_focus(focus: FloatArray, jacobian: FloatArray) -> Fence:
     return Fence.through(focus + np.linalg.solve(root_of_Q, circle.T).T)
 
 
-def _around_saddle(field: ExactField, saddle: FloatArray, come: FloatArray) -> Fence:
+def _around_saddle(field: GuidingField, saddle: FloatArray, come: FloatArray) -> Fence:
     """Returns the fence around a saddle, to which robots come in this direction."""
     rate, sides = rate_of(field), []
     for way in (come, -come):
-        line = _backwards(rate, saddle, way)
-        onward = np.gradient(line, axis=0)
-        onward /= np.linalg.norm(onward, axis=1, keepdims=True)
-        left, right = (_beside(rate, line, onward, side) for side in (1.0, -1.0))
+        start = saddle + STEP * way
+        line = _backwards(rate, start, float(np.linalg.norm(rate(0.0, start))) / 2)
+        left, right = _both_sides(rate, np.concatenate([saddle[None], line]))
         # The left of the one way begins where the right of the other does.
         sides += [right, left[:0:-1]]
     return Fence.through(np.concatenate(sides))
 
 
-def _backwards(rate: Rate, saddle: FloatArray, way: FloatArray) -> FloatArray:
-    """Returns points (n, 2) from a saddle back along its stable manifold, on one way."""
-    start = saddle + STEP * way
-    slow = np.linalg.norm(rate(0.0, start)) / 2
+def _backwards(rate: Rate, start: FloatArray, slow: float) -> FloatArray:
+    """Returns points (n, 2) of the orbit that leads to a start, from there backwards.
+
+    Args:
+        rate: m.
+        start: (2,) normalised.
+        slow: It begins where m is slower: at a source.
+    """
 
     def back(t: float, z: FloatArray) -> FloatArray:
         m = rate(t, z)
         return -m / np.linalg.norm(m)
 
     def ends(t: float, z: FloatArray) -> float:
-        """Falls below zero out of the box, and at a source, from which robots come."""
         return float(min(HALF + 2 * STEP - np.abs(z).max(), np.linalg.norm(rate(t, z)) - slow))
 
     ends.terminal = True  # type: ignore[attr-defined]
     run = solve_ivp(back, (0, LONGEST), start, events=ends, dense_output=True, **PRECISION)
-    line = run.sol(np.linspace(0, run.t[-1], int(run.t[-1] / STEP) + 2)).T
-    return np.concatenate([saddle[None], line])
+    return np.asarray(run.sol(np.linspace(0, run.t[-1], int(run.t[-1] / STEP) + 2)).T)
+
+
+def _both_sides(rate: Rate, line: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Returns points (n, 2) on the left and on the right of a line (n, 2); see `_beside`."""
+    onward = np.gradient(line, axis=0)
+    onward /= np.linalg.norm(onward, axis=1, keepdims=True)
+    return _beside(rate, line, onward, 1.0), _beside(rate, line, onward, -1.0)
 
 
 def _beside(rate: Rate, line: FloatArray, onward: FloatArray, side: float) -> FloatArray:

@@ -10,7 +10,7 @@ What does not change where m points does not matter: m is replaced by a positive
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import Any
 
@@ -82,13 +82,17 @@ class Fences:
     """
 
     fences: tuple[Fence, ...]
-    gates: FloatArray
+    gates: FloatArray = field(default_factory=partial(np.empty, (0, 2, 2)))
 
     @classmethod
     def proved(cls, field: BoundedField, fences: Sequence[Fence]) -> "Fences":
         """Finds the gates of fences."""
         gates = [np.empty((0, 2, 2)), *(_gates(field, fence.vertices) for fence in fences)]
         return cls(tuple(fences), np.concatenate(gates))
+
+    def joined(self, other: "Fences") -> "Fences":
+        """Returns these and others."""
+        return Fences(self.fences + other.fences, np.concatenate([self.gates, other.gates]))
 
     @cached_property
     def closed(self) -> list[Fence]:
