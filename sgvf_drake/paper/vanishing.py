@@ -26,7 +26,7 @@ from sgvf_drake.experiments.singularities import singularity_summary, zero_rows
 from sgvf_drake.experiments.workbench import Row, Workbench
 from sgvf_drake.fields import GuidingField, ScoreField, load_guiding_field
 from sgvf_drake.lyapunov import NEAR_PATH, Singularities, find_singularities, measure_vanishing
-from sgvf_drake.paper.claims import Claim, Count, Figures, Rows, Verdict, every
+from sgvf_drake.paper.claims import Claim, Claims, Count, Judged, Rows, Verdict
 from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
 from sgvf_drake.paper.parametric import ParametricTrial, measure_parametric, plot_helices
 from sgvf_drake.paper.training import trained
@@ -44,8 +44,6 @@ SECTION = "Section VI-A, Fig. 5"
 SEARCH = 1e-6
 # A comparison within one field holds by chance this often.
 ERROR = 0.05
-# What is told of fields on paths whose curvature varies.
-HIGH_CURVATURE = "fields whose zeros on the path keep to high curvature"
 # The comparisons of a field, and what they are called in the table.
 COMPARISONS = {
     "low_density": "lower density than in the box",
@@ -264,20 +262,14 @@ def zeros_of(rows: Rows, field: str) -> pd.DataFrame:
         Shape, recipe and seed of the field, and what `zero_rows` says: x and y, index, kind,
         and the rest; the distance from the path in U.
     """
+    trials: Any = rows[FIELDS].to_dict("records")
+    zeros = pd.json_normalize(trials, "zeros", ["shape", "recipe", "seed", "unit"])
+    zeros = zeros[zeros["field"] == field].reset_index(drop=True)
+    zeros[["x", "y"]] = np.array(zeros["point"].tolist()).reshape(-1, 2)
+    zeros["path_distance"] /= zeros["unit"]
     names = ["index", "kind", "path_distance", "density_percentile", "guiding_norm", "on_path"]
-    zeros = [
-        {
-            **{name: trial[name] for name in ("shape", "recipe", "seed")},
-            **dict(zip("xy", zero["point"], strict=True)),
-            **{name: zero[name] for name in names},
-            "path_distance": zero["path_distance"] / trial["unit"],
-        }
-        for trial in rows[FIELDS].to_dict("records")
-        for zero in trial["zeros"]
-        if zero["field"] == field
-    ]
-    table = pd.DataFrame(zeros, columns=["shape", "recipe", "seed", "x", "y", *names])
-    return table.astype({"on_path": bool})
+    numbers = {"seed": int, "index": int, "path_distance": float, "on_path": bool}
+    return zeros[["shape", "recipe", "seed", "x", "y", *names]].astype(numbers)
 
 
 def fields_of(rows: Rows) -> pd.DataFrame:
@@ -347,6 +339,8 @@ def _holding(comparisons: pd.Series) -> Count:
 
 # Claims.
 
+CLAIMS = Claims()
+
 
 def _more_than_chance(count: Count) -> Verdict:
     """Holds where all comparisons do, in part where more do than errors of 5 % explain."""
@@ -356,137 +350,107 @@ def _more_than_chance(count: Count) -> Verdict:
     return Verdict.when(count.good == count.all, test.pvalue < ERROR)
 
 
-def _indices(rows: Rows) -> Figures:
-    fields = rows[FIELDS].to_dict("records")
+@CLAIMS.add(
+    "vanishing-indices",
+    SECTION,
+    "The zeros of the learned score obey the theorem of Poincare and Hopf: the sum of their "
+    "indices is fixed by topology, as the Euler characteristic.",
+)
+def _indices(rows: Rows) -> Judged:
+    fields = Count.of(
+        row["score_index_sum"] == row["score_winding_number"]
+        and not row["undecided_by_field"]["score"]
+        for row in rows[FIELDS].to_dict("records")
+    )
+    regions = _as_topology(rows[FIELDS])
+    all_fields, all_regions = (count.good == count.all for count in (fields, regions))
     return {
-        "fields where the indices add up to the winding number on the border": Count.of(
-            row["score_index_sum"] == row["score_winding_number"]
-            and not row["undecided_by_field"]["score"]
-            for row in fields
-        ),
-        "regions where they do to the Euler characteristic": _as_topology(rows[FIELDS]),
-    }
+        "fields where the indices add up to the winding number on the border": fields,
+        "regions where they do to the Euler characteristic": regions,
+    }, Verdict.when(all_fields and all_regions, all_fields)
 
 
-def _index_rule(found: Mapping[str, Any]) -> Verdict:
-    fields, regions = (count.good == count.all for count in found.values())
-    return Verdict.when(fields and regions, fields)
-
-
-def _singularity(rows: Rows) -> Figures:
+@CLAIMS.add(
+    "vanishing-is-singularity",
+    SECTION,
+    "Score vanishing is a singularity that topology forces, and one of the guiding field.",
+)
+def _singularity(rows: Rows) -> Judged:
     fields = _robust(fields_of(rows))
     score, guiding = (_robust(zeros_of(rows, name)) for name in ("score", "guiding"))
-    meeting = int(fields["score_zeros_at_guiding_zeros"].sum())
+    meeting = Count(int(fields["score_zeros_at_guiding_zeros"].sum()), len(score))
     met = int(fields["guiding_zeros_at_score_zeros"].sum())
     on_path = score.loc[score["on_path"], "guiding_norm"]
     return {
         "robust fields": len(fields),
-        "zeros of the score at one of m": Count(meeting, len(score)),
+        "zeros of the score at one of m": meeting,
         "zeros that topology forces": int(regions_of(fields)["euler"].abs().sum()),
         "least |m| at those on the path": float(on_path.min()) if len(on_path) else "none",
         "zeros of m at one of the score": Count(met, len(guiding)),
-    }
+    }, Verdict.every(meeting)
 
 
-def _density(rows: Rows) -> Figures:
+@CLAIMS.add(
+    "vanishing-low-density",
+    SECTION,
+    "Score vanishing is pronounced where the density of samples is low.",
+)
+def _density(rows: Rows) -> Judged:
     fields, zeros = fields_of(rows), zeros_of(rows, "score")
-    return {
-        "fields whose zeros keep to low density": _holding(fields["low_density"]),
-        "fields whose zeros off the path do": _holding(fields["low_density_off_path"]),
-        "zeros on the path": Count.of(zeros["on_path"]),
-    }
-
-
-def _density_rule(found: Mapping[str, Any]) -> Verdict:
-    everywhere, off_path, _ = found.values()
+    everywhere, off_path = (
+        _holding(fields[name]) for name in ("low_density", "low_density_off_path")
+    )
     # Most zeros are on the path by the density's own shape; the others are the question.
     verdict = _more_than_chance(off_path)
-    less = verdict is Verdict.HOLDS and everywhere.good < everywhere.all
-    return Verdict.PARTLY if less else verdict
+    if verdict is Verdict.HOLDS and everywhere.good < everywhere.all:
+        verdict = Verdict.PARTLY
+    return {
+        "fields whose zeros keep to low density": everywhere,
+        "fields whose zeros off the path do": off_path,
+        "zeros on the path": Count.of(zeros["on_path"]),
+    }, verdict
 
 
-def _curvature(rows: Rows) -> Figures:
-    return {HIGH_CURVATURE: _holding(fields_of(rows)["high_curvature"])}
+@CLAIMS.add(
+    "vanishing-high-curvature",
+    SECTION,
+    "Score vanishing is pronounced where the curvature is high.",
+)
+def _curvature(rows: Rows) -> Judged:
+    holding = _holding(fields_of(rows)["high_curvature"])
+    told = {"fields whose zeros on the path keep to high curvature": holding}
+    return told, _more_than_chance(holding)
 
 
-def _topology(rows: Rows) -> Figures:
+@CLAIMS.add(
+    "vanishing-topology",
+    SECTION,
+    "Score vanishing is pronounced at nontrivial topology, as loops and holes.",
+)
+def _topology(rows: Rows) -> Judged:
     regions, zeros = regions_of(rows[FIELDS]), zeros_of(rows, "score")
     regions = regions[regions["euler"] != 0]
+    with_zero, there = Count.of(regions["zeros"] > 0), int(regions["zeros"].sum())
+    everywhere = 0 < with_zero.all == with_zero.good
     return {
-        "holes, and regions around more than one loop, with a zero": Count.of(
-            regions["zeros"] > 0
-        ),
-        "zeros that are there": Count(int(regions["zeros"].sum()), len(zeros)),
-    }
+        "holes, and regions around more than one loop, with a zero": with_zero,
+        "zeros that are there": Count(there, len(zeros)),
+    }, Verdict.when(everywhere and there > len(zeros) / 2, everywhere)
 
 
-def _topology_rule(found: Mapping[str, Any]) -> Verdict:
-    regions, zeros = found.values()
-    everywhere = 0 < regions.all == regions.good
-    return Verdict.when(everywhere and zeros.good > zeros.all / 2, everywhere)
-
-
-def _dimension(rows: Rows) -> Figures:
-    pieces = pd.DataFrame(rows[PARAMETRIC]["pieces"].explode().tolist())
-    least = pieces[["grid", "least"]].min(axis=1)
-    return {
-        "least |chi| that a grid and descents found": float(least.min()),
-        "pieces where it is what the formula says": Count.of(
-            least >= (1 - SEARCH) * pieces["formula"]
-        ),
-    }
-
-
-def _dimension_rule(found: Mapping[str, Any]) -> Verdict:
-    least, bounded = found.values()
-    return Verdict.when(least > SEARCH and bounded.good == bounded.all, least > SEARCH)
-
-
-CLAIMS = (
-    Claim(
-        "vanishing-indices",
-        SECTION,
-        "The zeros of the learned score obey the theorem of Poincare and Hopf: the sum of "
-        "their indices is fixed by topology, as the Euler characteristic.",
-        _indices,
-        _index_rule,
-    ),
-    Claim(
-        "vanishing-is-singularity",
-        SECTION,
-        "Score vanishing is a singularity that topology forces, and one of the guiding field.",
-        _singularity,
-        every("zeros of the score at one of m"),
-    ),
-    Claim(
-        "vanishing-low-density",
-        SECTION,
-        "Score vanishing is pronounced where the density of samples is low.",
-        _density,
-        _density_rule,
-    ),
-    Claim(
-        "vanishing-high-curvature",
-        SECTION,
-        "Score vanishing is pronounced where the curvature is high.",
-        _curvature,
-        lambda found: _more_than_chance(found[HIGH_CURVATURE]),
-    ),
-    Claim(
-        "vanishing-topology",
-        SECTION,
-        "Score vanishing is pronounced at nontrivial topology, as loops and holes.",
-        _topology,
-        _topology_rule,
-    ),
-    Claim(
-        "vanishing-singularity-free",
-        SECTION,
-        "A guiding field in one more dimension has no singularity.",
-        _dimension,
-        _dimension_rule,
-    ),
+@CLAIMS.add(
+    "vanishing-singularity-free",
+    SECTION,
+    "A guiding field in one more dimension has no singularity.",
 )
+def _dimension(rows: Rows) -> Judged:
+    pieces = pd.DataFrame(rows[PARAMETRIC]["pieces"].explode().tolist())
+    found = pieces[["grid", "least"]].min(axis=1)
+    least, bounded = float(found.min()), Count.of(found >= (1 - SEARCH) * pieces["formula"])
+    return {
+        "least |chi| that a grid and descents found": least,
+        "pieces where it is what the formula says": bounded,
+    }, Verdict.when(least > SEARCH and bounded.good == bounded.all, least > SEARCH)
 
 
 # Figures.
