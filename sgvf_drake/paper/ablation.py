@@ -52,8 +52,8 @@ from sgvf_drake.paper.experiment import (
     Exhibit,
     Experiment,
     Range,
+    SeedsTable,
     run_trials,
-    seeds_table,
 )
 from sgvf_drake.paper.training import trained
 from sgvf_drake.paths import ReferencePath, make_shape, shape_path
@@ -84,9 +84,6 @@ SPEED_ERROR = "following.speed_error"
 
 ANY: Range = (-np.inf, np.inf)
 
-SeedsTables = Sequence[tuple[str, str, Mapping[str, Column]]]
-"""Name, caption and columns of tables."""
-
 FOLLOWED: Mapping[str, Column] = {
     "reach": ("following.reach", SHARE),
     "lap": ("following.lap", SHARE),
@@ -94,7 +91,7 @@ FOLLOWED: Mapping[str, Column] = {
     "leave": ("following.leave", SHARE),
     "RMS, U": ("following.rms_u", POSITIVE),
 }
-"""Columns that say how well a field is followed; see `seeds_table`."""
+"""Columns that say how well a field is followed; see `SeedsTable`."""
 
 # In the file of a run: (n, 2) the last positions of its agents, (n,) whether each lapped.
 ENDS, LAPPED = "ends", "followed"
@@ -370,7 +367,7 @@ class Ablation(Experiment):
     span: ClassVar[Range]
     captions: ClassVar[tuple[str, str]]
     panels: ClassVar[Sequence[MeasurePanel]]
-    columns: ClassVar[SeedsTables]
+    seeds_tables: ClassVar[Sequence[SeedsTable]]
 
     @abstractmethod
     def trials(self) -> Sequence[AblationTrial]:
@@ -392,11 +389,8 @@ class Ablation(Experiment):
 
     def tables(self, rows: Rows) -> Sequence[Exhibit]:
         names = [VARIANTS[variant][0] for variant in rows[FIELDS]["variant"]]
-        fields, by = rows[FIELDS].assign(variant=names), (self.group, "variant")
-        return [
-            seeds_table(name, caption, fields, by, columns)
-            for name, caption, columns in self.columns
-        ]
+        fields = rows[FIELDS].assign(variant=names)
+        return [table.of(fields, (self.group, "variant")) for table in self.seeds_tables]
 
     def figures(self, rows: Rows) -> Sequence[Exhibit]:
         fields, seed, (drawn, measured) = rows[FIELDS], self.seeds[0], self.captions

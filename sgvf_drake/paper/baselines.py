@@ -38,9 +38,9 @@ from sgvf_drake.paper.experiment import (
     Column,
     Exhibit,
     Experiment,
+    SeedsTable,
     check_names,
     run_trials,
-    seeds_table,
 )
 from sgvf_drake.paper.methods import CASES, DIRECTED, LEARNED, METHODS, make_case
 from sgvf_drake.paper.ways import (
@@ -297,12 +297,8 @@ class BaselineComparison(Experiment):
         labels = {name: method.label for name, method in METHODS.items()}
         cells = rows["cells"].assign(method=rows["cells"]["method"].map(labels))
         return [
-            seeds_table(
-                f"baselines_{case}",
-                f"{CAPTIONS[case]} {_MEASURES}",
-                cells[cells["case"] == case].astype({"max_u": float}),
-                ("method",),
-                _COLUMNS,
+            SeedsTable(f"baselines_{case}", f"{CAPTIONS[case]} {_MEASURES}", _COLUMNS).of(
+                cells[cells["case"] == case].astype({"max_u": float}), ("method",)
             )
             for case in self.cases
         ]

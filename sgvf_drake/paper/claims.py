@@ -133,11 +133,13 @@ class Claims(list[Claim]):
     """Claims in the order in which they are told."""
 
     def add(
-        self, key: str, source: str, statement: str, of_paper: bool = True
+        self, key: str, source: str, of_paper: bool = True
     ) -> Callable[[Callable[[Rows], Judged]], Callable[[Rows], Judged]]:
-        """Adds a claim with the function below as its measure; see `Claim`."""
+        """Adds a claim that the function below measures; its docstring is the statement."""
 
         def keep(measure: Callable[[Rows], Judged]) -> Callable[[Rows], Judged]:
+            statement = " ".join((measure.__doc__ or "").split())
+            assert statement, f"the claim {key} says nothing"
             self.append(Claim(key, source, statement, measure, of_paper))
             return measure
 

@@ -39,9 +39,9 @@ from sgvf_drake.paper.experiment import (
     FOLDER,
     Exhibit,
     Experiment,
+    SeedsTable,
     first,
     run_trials,
-    seeds_table,
 )
 from sgvf_drake.paper.training import trained
 from sgvf_drake.paper.traps import along_sides, examine, paused, polygon
@@ -136,43 +136,7 @@ class Corners(Experiment):
         fields[shares] *= 100
         fields = fields.rename(columns={"angle": "angle, degrees"})
         by = ("angle, degrees", "network")
-        return [
-            seeds_table(
-                "corner_stalls",
-                "Where agents stall: shares of the starts in per cent, and of those that stall "
-                "the share within 0.5 U of a corner, beside the share of the path that is. "
-                "Paused: those that stand still for a while and go on.",
-                fields,
-                by,
-                {
-                    "fields": ("seed", len),
-                    "stalled, %": ("stalled", PERCENT),
-                    "stalled near a corner, %": ("stalled_near", PERCENT),
-                    "near, of the stalled, %": ("near", PERCENT),
-                    "near, of the path, %": ("even", first),
-                    "laps, %": ("lapped", PERCENT),
-                    "paused, %": ("paused", pd.Series.mean),
-                    "RMS, U": ("rms", pd.Series.mean),
-                },
-            ),
-            seeds_table(
-                "corner_traps",
-                "Traps, stable zeros of m on the path within 0.5 U of a corner: the share of "
-                "corners that have one, how many sit before and after it in the direction of "
-                "travel (or where the sides run against each other) and how many outside of "
-                "the polygon; and the least |m| near corners and about the middle of sides, "
-                "means over them.",
-                fields,
-                by,
-                {
-                    "fields": ("seed", len),
-                    "corners with a trap, %": ("trapped", PERCENT),
-                    "traps": ("traps", _trap_columns),
-                    "|m| at corners": ("speed_corner", POSITIVE),
-                    "|m| on sides": ("speed_side", POSITIVE),
-                },
-            ),
-        ]
+        return [table.of(fields, by) for table in TABLES]
 
     def figures(self, rows: Rows) -> Sequence[Exhibit]:
         trials, seed = rows[POLYGONS], self.seeds[0]
@@ -304,6 +268,41 @@ def _trap_columns(own: pd.Series) -> Row:
     }
 
 
+TABLES = (
+    SeedsTable(
+        "corner_stalls",
+        "Where agents stall: shares of the starts in per cent, and of those that stall "
+        "the share within 0.5 U of a corner, beside the share of the path that is. "
+        "Paused: those that stand still for a while and go on.",
+        {
+            "fields": ("seed", len),
+            "stalled, %": ("stalled", PERCENT),
+            "stalled near a corner, %": ("stalled_near", PERCENT),
+            "near, of the stalled, %": ("near", PERCENT),
+            "near, of the path, %": ("even", first),
+            "laps, %": ("lapped", PERCENT),
+            "paused, %": ("paused", pd.Series.mean),
+            "RMS, U": ("rms", pd.Series.mean),
+        },
+    ),
+    SeedsTable(
+        "corner_traps",
+        "Traps, stable zeros of m on the path within 0.5 U of a corner: the share of "
+        "corners that have one, how many sit before and after it in the direction of "
+        "travel (or where the sides run against each other) and how many outside of "
+        "the polygon; and the least |m| near corners and about the middle of sides, "
+        "means over them.",
+        {
+            "fields": ("seed", len),
+            "corners with a trap, %": ("trapped", PERCENT),
+            "traps": ("traps", _trap_columns),
+            "|m| at corners": ("speed_corner", POSITIVE),
+            "|m| on sides": ("speed_side", POSITIVE),
+        },
+    ),
+)
+
+
 # Claims.
 
 CLAIMS = Claims()
@@ -316,12 +315,9 @@ def _of(rows: Rows, network: str, *corners: int) -> pd.DataFrame:
     return fields[fields["corners"].isin(corners)] if corners else fields
 
 
-@CLAIMS.add(
-    "corners-shallow-square",
-    f"{SECTION}, Fig. 6 (a)",
-    "With a shallow tangent network agents stall near the corners of a square.",
-)
+@CLAIMS.add("corners-shallow-square", f"{SECTION}, Fig. 6 (a)")
 def _square(rows: Rows) -> Judged:
+    """With a shallow tangent network agents stall near the corners of a square."""
     square = _of(rows, "shallow", SQUARE)
     stalled, near = Mean.of(square["stalled_near"]), square["near"].dropna()
     # The interval of a single value, NaN, shows nothing.
@@ -334,12 +330,9 @@ def _square(rows: Rows) -> Judged:
     }, Verdict.when(stalled.low > 0 and of_stalled.low > of_path, stalled.mean > 0)
 
 
-@CLAIMS.add(
-    "corners-hexagon-less",
-    f"{SECTION}, Fig. 6 (b)",
-    "With a shallow network the corners of a hexagon trap less than those of a square.",
-)
+@CLAIMS.add("corners-hexagon-less", f"{SECTION}, Fig. 6 (b)")
 def _hexagon(rows: Rows) -> Judged:
+    """With a shallow network the corners of a hexagon trap less than those of a square."""
     square, hexagon = (_of(rows, "shallow", corners) for corners in NAMES)
     pairs = square.merge(hexagon, on="seed", suffixes=("", "_hexagon"))
     less = Mean.of(pairs["stalled_near"] - pairs["stalled_near_hexagon"], (-1.0, 1.0))
@@ -352,12 +345,9 @@ def _hexagon(rows: Rows) -> Judged:
     }, Verdict.when(less.low > 0)
 
 
-@CLAIMS.add(
-    "corners-deep-eliminates",
-    f"{SECTION}, Fig. 6 (c)",
-    "A deeper tangent network eliminates corner attraction entirely.",
-)
+@CLAIMS.add("corners-deep-eliminates", f"{SECTION}, Fig. 6 (c)")
 def _deep(rows: Rows) -> Judged:
+    """A deeper tangent network eliminates corner attraction entirely."""
     shallow, deep = (_of(rows, network, *NAMES) for network in PAPER_TANGENTS)
     hexagon = deep[deep["corners"] == HEXAGON]
     # Where the field runs against itself, a trap is not the corner's.
@@ -379,12 +369,9 @@ def _deep(rows: Rows) -> Judged:
     }, Verdict.when(free.good == free.all, less.low > 0)
 
 
-@CLAIMS.add(
-    "corners-pauses",
-    SECTION,
-    "A shallow network traps the agent for a while: it pauses and goes on.",
-)
+@CLAIMS.add("corners-pauses", SECTION)
 def _pauses(rows: Rows) -> Judged:
+    """A shallow network traps the agent for a while: it pauses and goes on."""
     shallow = _of(rows, "shallow", *NAMES)
     slow = Mean.of(shallow["speed_corner"] / shallow["speed_side"], ANY)
     paused, stalled = shallow["paused"].mean(), shallow["stalled"].mean()
@@ -395,12 +382,9 @@ def _pauses(rows: Rows) -> Judged:
     }, Verdict.when(slow.high < 1 and paused > 0 and stalled == 0, slow.high < 1)
 
 
-@CLAIMS.add(
-    "corners-sharper",
-    SECTION,
-    "With a shallow network sharp corners trap more than gentle ones.",
-)
+@CLAIMS.add("corners-sharper", SECTION)
 def _angles(rows: Rows) -> Judged:
+    """With a shallow network sharp corners trap more than gentle ones."""
     shallow = _of(rows, "shallow")
     correlation, p_value = 0.0, 1.0
     if len(shallow) > 2 and min(shallow[["angle", "trapped"]].nunique()) > 1:
@@ -416,12 +400,9 @@ def _angles(rows: Rows) -> Judged:
     }, Verdict.when(correlation < 0 and p_value < SIGNIFICANCE)
 
 
-@CLAIMS.add(
-    "corners-tangent-attractor",
-    SECTION,
-    "The traps of shallow networks are local attractors of the tangent field.",
-)
+@CLAIMS.add("corners-tangent-attractor", SECTION)
 def _tangent(rows: Rows) -> Judged:
+    """The traps of shallow networks are local attractors of the tangent field."""
     # Where m is zero, |v| is |s|.
     norms = traps_of(_of(rows, "shallow")["traps"])["score"]
     small = Count.of(norms < SMALL)

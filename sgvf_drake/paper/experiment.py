@@ -90,34 +90,34 @@ Column = tuple[str, Range | Callable[[pd.Series], Any]]
 what a function makes of them: a value, or several columns."""
 
 
-def seeds_table(
-    name: str,
-    caption: str,
-    rows: pd.DataFrame,
-    by: Sequence[str],
-    columns: Mapping[str, Column],
-) -> Exhibit:
-    """Returns a table of one row a group, with what its seeds say.
+@dataclass(frozen=True, eq=False)
+class SeedsTable:
+    """A table of one row a group, with what its seeds say.
 
-    Args:
+    Attributes:
         name: Name of the exhibit.
         caption: Its caption.
-        rows: One row a seed of a group.
-        by: Columns whose values are the same in a group.
-        columns: The further columns by their headers.
+        columns: The columns beside those of the group, by their headers.
     """
 
-    def row_of(own: pd.DataFrame) -> Row:
-        row: Row = {}
-        for header, (measure, kind) in columns.items():
-            if isinstance(kind, tuple):
-                row |= interval_columns(header, own[measure].astype(float), kind)
-            else:
-                told = kind(own[measure])
-                row |= told if isinstance(told, Mapping) else {header: told}
-        return row
+    name: str
+    caption: str
+    columns: Mapping[str, Column]
 
-    return Exhibit(name, caption, over_seeds(rows, by, row_of))
+    def of(self, rows: pd.DataFrame, by: Sequence[str]) -> Exhibit:
+        """Returns the table of rows, one a seed of a group with the same values of `by`."""
+
+        def row_of(own: pd.DataFrame) -> Row:
+            row: Row = {}
+            for header, (measure, kind) in self.columns.items():
+                if isinstance(kind, tuple):
+                    row |= interval_columns(header, own[measure].astype(float), kind)
+                else:
+                    told = kind(own[measure])
+                    row |= told if isinstance(told, Mapping) else {header: told}
+            return row
+
+        return Exhibit(self.name, self.caption, over_seeds(rows, by, row_of))
 
 
 def first(values: pd.Series) -> Any:

@@ -313,13 +313,10 @@ CLAIMS = Claims()
 """What is claimed of each recipe."""
 
 
-@CLAIMS.add(
-    "flights-branches",
-    SECTION,
-    "One field lets a quadrotor follow several branches in turn {}.",
-)
+@CLAIMS.add("flights-branches", SECTION)
 def _branches(rows: Rows) -> Judged:
-    """Counts the flights along all pieces; tells how near they were, and of the others."""
+    """One field lets a quadrotor follow several branches in turn {}."""
+    # Counts the flights along all pieces; tells how near they were, and of the others.
     flights = rows["flights"]
     outcomes = [outcome(flight) for flight in flights.to_dict("records")]
     follows = np.array(outcomes) == "completed"
@@ -339,11 +336,10 @@ def _branches(rows: Rows) -> Judged:
     return found, Verdict.every(count)
 
 
-@CLAIMS.add(
-    "flights-smooth", SECTION, "Velocity and motor inputs remain smooth and bounded {}."
-)
+@CLAIMS.add("flights-smooth", SECTION)
 def _smooth(rows: Rows) -> Judged:
-    """Counts the flights whose velocity and forces stay within bounds, without jumps."""
+    """Velocity and motor inputs remain smooth and bounded {}."""
+    # Counts the flights whose velocity and forces stay within bounds, without jumps.
     flights = rows["flights"]
     # All is NaN of a flight that lost control, which compares with nothing.
     figures = flights.reindex(columns=MOTION).astype(float)

@@ -32,7 +32,7 @@ from sgvf_drake.paper.baselines import (
     measure_baseline,
 )
 from sgvf_drake.paper.claims import Claim, Count, Judged, Rows, Share, Span, Verdict
-from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials, seeds_table
+from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, SeedsTable, run_trials
 from sgvf_drake.paper.methods import CASES, make_case
 from sgvf_drake.paper.training import trained
 from sgvf_drake.paper.ways import coverage
@@ -63,6 +63,33 @@ FAR, LONGER = SETTLE_DISTANCE, 1.5
 AGREEMENT = 1.5
 # Agents that succeed, and waypoints that they pass, where a path is followed; and in part.
 MOST, HALF = 0.95, 0.5
+TABLES = (
+    SeedsTable(
+        "indexing_curves",
+        "Length of the interpolated curve over that of the true path, and its largest distance "
+        "from it; shuffled over several orders. Polynomials through many equally spaced "
+        "waypoints swing beyond all bounds in whatever order.",
+        {
+            "length over true": ("length_ratio", POSITIVE),
+            "farthest from path, U": ("farthest_u", POSITIVE),
+        },
+    ),
+    SeedsTable(
+        "indexing_agents",
+        "Agents from a grid over the box, 200 waypoints; over the seeds. On the closed path an "
+        "agent succeeds when it laps it, on the arms when it stays near them and stops nowhere "
+        "but at a tip; coverage is the share of waypoints that those pass.",
+        {"success": ("success", SHARE), "coverage": ("coverage", SHARE)},
+    ),
+    SeedsTable(
+        "indexing_order",
+        "By how much fields differ that were trained on two orders of the same waypoints with "
+        "the same seed, beside those of two seeds on ordered waypoints (root mean square of "
+        "the difference of m, where |m| = 1). The exact score does not depend on the order at "
+        "all.",
+        {name: (name, POSITIVE) for name in ("m, waypoints", "m, box", "exact score, box")},
+    ),
+)
 
 
 @dataclass(frozen=True)
@@ -224,40 +251,14 @@ class Indexing(Experiment):
 
     def tables(self, rows: Rows) -> list[Exhibit]:
         """Returns the tables of curves, of agents, and of the changes of fields."""
-        changes = rows["changes"]
+        agents = rows["agents"].assign(field=rows["agents"]["field"].map(_label))
+        curves, followed, order = TABLES
         return [
-            seeds_table(
-                "indexing_curves",
-                "Length of the interpolated curve over that of the true path, and its largest "
-                "distance from it; shuffled over several orders. Polynomials through many "
-                "equally spaced waypoints swing beyond all bounds in whatever order.",
-                rows["curves"].replace({"curve": LABELS}),
-                ("case", "curve", "waypoints"),
-                {
-                    "length over true": ("length_ratio", POSITIVE),
-                    "farthest from path, U": ("farthest_u", POSITIVE),
-                },
+            curves.of(
+                rows["curves"].replace({"curve": LABELS}), ("case", "curve", "waypoints")
             ),
-            seeds_table(
-                "indexing_agents",
-                "Agents from a grid over the box, 200 waypoints; over the seeds. On the closed "
-                "path an agent succeeds when it laps it, on the arms when it stays near them "
-                "and stops nowhere but at a tip; coverage is the share of waypoints that those "
-                "pass.",
-                rows["agents"].assign(field=rows["agents"]["field"].map(_label)),
-                ("case", "field"),
-                {"success": ("success", SHARE), "coverage": ("coverage", SHARE)},
-            ),
-            seeds_table(
-                "indexing_order",
-                "By how much fields differ that were trained on two orders of the same "
-                "waypoints with the same seed, beside those of two seeds on ordered waypoints "
-                "(root mean square of the difference of m, where |m| = 1). The exact score "
-                "does not depend on the order at all.",
-                changes,
-                ("change",),
-                {name: (name, POSITIVE) for name in changes.columns.drop("change")},
-            ),
+            followed.of(agents, ("case", "field")),
+            order.of(rows["changes"], ("change",)),
         ]
 
     def figures(self, rows: Rows) -> list[Exhibit]:

@@ -20,11 +20,10 @@ from sgvf_drake.paper.ablation import (
     AblationTrial,
     Effect,
     MeasurePanel,
-    SeedsTables,
     effect_of,
 )
 from sgvf_drake.paper.claims import Claim, Claims, Count, Judged, Rows, Verdict
-from sgvf_drake.paper.experiment import count, first
+from sgvf_drake.paper.experiment import SeedsTable, count, first
 
 PANELS = (
     MeasurePanel("lengths.v_box_max", "longest $v$ in the box", log=True),
@@ -34,9 +33,8 @@ PANELS = (
     MeasurePanel("tangent.sources", "sources of $v$ on a ring"),
     MeasurePanel("following.lap", "share of starts that lap", SHARE),
 )
-# Name, caption and columns of each table.
-TABLES: SeedsTables = (
-    (
+TABLES = (
+    SeedsTable(
         "following",
         "The fields followed from a grid of starts: a field is followable when every start "
         "completes a lap and both rings have some. The shallow and the deep network stand "
@@ -48,7 +46,7 @@ TABLES: SeedsTables = (
             "slowest |m| on the path": ("following.speed_min", POSITIVE),
         },
     ),
-    (
+    SeedsTable(
         "claims",
         "What the paper says of each loss, measured: lengths of m and v (near: within 0.1 U "
         "of the path, away: beyond 1 U), whether v leads along the path or off it, and where "
@@ -66,7 +64,7 @@ TABLES: SeedsTables = (
             "rings of two ways, m": ("whole.conflicted", SHARE),
         },
     ),
-    (
+    SeedsTable(
         "checks",
         "The same fields in the sampled Lyapunov checks: whether there is a band of levels on "
         "which V falls around a tube along each ring, and what speaks against it near the "
@@ -111,7 +109,7 @@ class LossAblation(Ablation):
         "means are geometric.",
     )
     panels = PANELS
-    columns = TABLES
+    seeds_tables = TABLES
 
     def trials(self) -> Sequence[AblationTrial]:
         return [
@@ -151,14 +149,12 @@ class Part:
 CLAIMS = Claims()
 
 
-@CLAIMS.add(
-    "all-losses",
-    "Section V-C",
-    "With all three losses the guiding field is reliable; measured by more than the two "
-    "agents of the paper: all starts of a grid follow the rings all the way around.",
-)
+@CLAIMS.add("all-losses", "Section V-C")
 def _laps(rows: Rows) -> Judged:
-    """Counts the fields in which every start completes a lap: complete, and all variants."""
+    """With all three losses the guiding field is reliable; measured by more than the two agents
+    of the paper: all starts of a grid follow the rings all the way around.
+    """
+    # Counts the fields in which every start completes a lap: complete, and all variants.
     fields = rows[FIELDS]
     complete = fields.loc[fields["variant"] == COMPLETE, "following.followable"]
     lapped = Count.of(complete)
@@ -181,13 +177,11 @@ def _find_parts(rows: Rows, variant: str, *parts: Part) -> Judged:
     return {"parts found": count, **told}, Verdict.every(count)
 
 
-@CLAIMS.add(
-    "unit-length",
-    "Section V-C, Fig. 4 (a)",
-    "Without the unit length loss the tangent has uncontrolled magnitudes; that it dominates "
-    "near the path and diminishes away from it is disrupted.",
-)
+@CLAIMS.add("unit-length", "Section V-C, Fig. 4 (a)")
 def _unit_length(rows: Rows) -> Judged:
+    """Without the unit length loss the tangent has uncontrolled magnitudes; that it dominates
+    near the path and diminishes away from it is disrupted.
+    """
     # Magnitudes are uncontrolled where the longest v of the box is longer; the length of m is
     # the loss that was removed, and says nothing.  That v dominates near the path and
     # diminishes away from it is read in two ways: as |v| near over |v| away, which is above
@@ -211,13 +205,11 @@ def _unit_length(rows: Rows) -> Judged:
     )
 
 
-@CLAIMS.add(
-    "orthogonality",
-    "Section V-C, Fig. 4 (b)",
-    "Without the orthogonality loss the tangent does not follow the path, and diverges away "
-    "from it.",
-)
+@CLAIMS.add("orthogonality", "Section V-C, Fig. 4 (b)")
 def _orthogonality(rows: Rows) -> Judged:
+    """Without the orthogonality loss the tangent does not follow the path, and diverges away
+    from it.
+    """
     # v does not follow the path where going along it leads farther off; it diverges where its
     # mean component away from the path is above zero, and above that of the complete recipe;
     # m does not follow where fewer agents complete a lap.
@@ -234,13 +226,11 @@ def _orthogonality(rows: Rows) -> Judged:
     )
 
 
-@CLAIMS.add(
-    "directional-consistency",
-    "Section V-C, Fig. 4 (c)",
-    "Without the directional consistency loss the tangent has two conflicting directions, "
-    "with one line a source and another a sink.",
-)
+@CLAIMS.add("directional-consistency", "Section V-C, Fig. 4 (c)")
 def _directional_consistency(rows: Rows) -> Judged:
+    """Without the directional consistency loss the tangent has two conflicting directions, with
+    one line a source and another a sink.
+    """
     # There are conflicting directions where more rings are not run through one way, and none
     # is that way in the complete recipe; one line of each kind where the rings of every seed
     # have one source on average, to a half.

@@ -34,7 +34,7 @@ from sgvf_drake.paper.claims import (
     Span,
     Verdict,
 )
-from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials, seeds_table
+from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, SeedsTable, run_trials
 from sgvf_drake.paper.training import trained
 from sgvf_drake.paths import ReferencePath, make_shape
 
@@ -55,6 +55,30 @@ REST, ERRORS = 0.1, 2.0
 LARGEST_CHANGE = 0.25
 # ... and has been stable when no part of the second half exceeds the end by this factor.
 STABLE = 1.5
+
+FIELDS_TABLE = SeedsTable(
+    "overview_fields",
+    "Agents from a grid over the box in every trained field, over the seeds. A field is "
+    "followed where all starts lap, and on both pieces. RMS and largest distance from the "
+    "path are over the last lap of those that settled; |m| is the speed on the path at a "
+    "commanded speed of one. The robust recipe may start again, the paper's does not.",
+    {
+        "reach": ("reach", pd.Series.mean),
+        "lap": ("lap", SHARE),
+        "fields followed": ("followed", partial(fraction_columns, "fields followed")),
+        "RMS, U": ("rms_u", POSITIVE),
+        "largest, U": ("max_u", POSITIVE),
+        "least |m|": ("speed_min", POSITIVE),
+        "largest |m|": ("speed_max", POSITIVE),
+        "training, s CPU": ("train_cpu_s", POSITIVE),
+    },
+)
+LOSSES_CAPTION = (
+    "The losses of the tangent network, each times its weight, mean over the seeds: in the "
+    "first and the last tenth of the training, the change of the last from the tenth before, "
+    "and the highest tenth of the second half; both in per cent of the last. (The learning "
+    "rate of the robust recipe falls to zero.)"
+)
 
 
 @dataclass(frozen=True)
@@ -198,33 +222,11 @@ class Overview(Experiment):
             for term, loss in field["losses"].items()
         )
         means = losses.groupby(["shape", "recipe", "loss"], sort=False).mean().reset_index()
-        fields = seeds_table(
-            "overview_fields",
-            "Agents from a grid over the box in every trained field, over the seeds. A field "
-            "is followed where all starts lap, and on both pieces. RMS and largest distance "
-            "from the path are over the last lap of those that settled; |m| is the speed on "
-            "the path at a commanded speed of one. The robust recipe may start again, the "
-            "paper's does not.",
-            rows["fields"].assign(followed=followed(rows["fields"])),
-            ("shape", "recipe"),
-            {
-                "reach": ("reach", pd.Series.mean),
-                "lap": ("lap", SHARE),
-                "fields followed": ("followed", partial(fraction_columns, "fields followed")),
-                "RMS, U": ("rms_u", POSITIVE),
-                "largest, U": ("max_u", POSITIVE),
-                "least |m|": ("speed_min", POSITIVE),
-                "largest |m|": ("speed_max", POSITIVE),
-                "training, s CPU": ("train_cpu_s", POSITIVE),
-            },
-        )
-        caption = (
-            "The losses of the tangent network, each times its weight, mean over the seeds: in "
-            "the first and the last tenth of the training, the change of the last from the "
-            "tenth before, and the highest tenth of the second half; both in per cent of the "
-            "last. (The learning rate of the robust recipe falls to zero.)"
-        )
-        return [fields, Exhibit("overview_losses", caption, means)]
+        fields = rows["fields"].assign(followed=followed(rows["fields"]))
+        return [
+            FIELDS_TABLE.of(fields, ("shape", "recipe")),
+            Exhibit("overview_losses", LOSSES_CAPTION, means),
+        ]
 
 
 def followed(fields: pd.DataFrame) -> "pd.Series[bool]":
@@ -261,11 +263,10 @@ CLAIMS = Claims()
 """What is claimed of each recipe."""
 
 
-@CLAIMS.add(
-    "overview-score", SECTION, "The learned score shows the density of the waypoints {}."
-)
+@CLAIMS.add("overview-score", SECTION)
 def _score(rows: Rows) -> Judged:
-    """Compares the scores with the exact one, near the path."""
+    """The learned score shows the density of the waypoints {}."""
+    # Compares the scores with the exact one, near the path.
     fields = rows["fields"]
     mean, low = fields["score_cosine"], fields["score_cosine_p5"]
     shown = Count.of((mean >= MEAN_COSINE) & (low >= LOW_COSINE))
@@ -276,9 +277,10 @@ def _score(rows: Rows) -> Judged:
     }, Verdict.every(shown)
 
 
-@CLAIMS.add("overview-losses", SECTION, "The tangent losses converge and are stable {}.")
+@CLAIMS.add("overview-losses", SECTION)
 def _losses(rows: Rows) -> Judged:
-    """Counts the trainings whose total tangent loss fell, came to rest, and was stable."""
+    """The tangent losses converge and are stable {}."""
+    # Counts the trainings whose total tangent loss fell, came to rest, and was stable.
     totals = [losses["total"] for losses in rows["fields"]["losses"]]
     rested = Count.of(map(converged, totals))
     return {
@@ -289,14 +291,12 @@ def _losses(rows: Rows) -> Judged:
     }, Verdict.every(rested)
 
 
-@CLAIMS.add(
-    "overview-tracking",
-    SECTION,
-    "Agents track both loops, also disjoint ones {}; measured by more than the two agents of "
-    "the paper: all starts of a grid.",
-)
+@CLAIMS.add("overview-tracking", SECTION)
 def _tracking(rows: Rows) -> Judged:
-    """Counts the fields in which all starts lap, on all pieces."""
+    """Agents track both loops, also disjoint ones {}; measured by more than the two agents of
+    the paper: all starts of a grid.
+    """
+    # Counts the fields in which all starts lap, on all pieces.
     fields = rows["fields"]
     count = Count.of(followed(fields))
     share = fraction_interval(count.good, count.all)

@@ -21,11 +21,10 @@ from sgvf_drake.paper.ablation import (
     Ablation,
     AblationTrial,
     MeasurePanel,
-    SeedsTables,
     effect_of,
 )
 from sgvf_drake.paper.claims import Claim, Judged, Rows, Verdict
-from sgvf_drake.paper.experiment import check_names, count
+from sgvf_drake.paper.experiment import SeedsTable, check_names, count
 
 COSINE = (-1.0, 1.0)
 NOTHING = "nothing measurable"
@@ -37,9 +36,8 @@ PANELS = (
     MeasurePanel("score.score_cosine", "cosine of the score with the exact one", COSINE),
     MeasurePanel("score.orthogonality", "mean $|\\cos(S, v)|$ near the path", SHARE),
 )
-# Name, caption and columns of each table.
-TABLES: SeedsTables = (
-    (
+TABLES = (
+    SeedsTable(
         "following",
         "How the fields are followed from a grid of starts, without restarts; means with 95 % "
         "intervals over the seeds.",
@@ -50,7 +48,7 @@ TABLES: SeedsTables = (
             "| |m| - 1 | on the path, max": (SPEED_ERROR, POSITIVE),
         },
     ),
-    (
+    SeedsTable(
         "inside",
         "The same fields from within: the learned score against the exact one near the path, "
         "orthogonality, and the sampled Lyapunov checks.",
@@ -102,7 +100,7 @@ class RecipeAblation(Ablation):
         "the scatter of the seeds. On logarithmic axes the means are geometric.",
     )
     panels = PANELS
-    columns = TABLES
+    seeds_tables = TABLES
 
     def trials(self) -> Sequence[AblationTrial]:
         """Returns the trials.

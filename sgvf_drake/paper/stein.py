@@ -275,8 +275,9 @@ def _entries(found: pd.DataFrame) -> int:
     return ENTRIES * sum(residuals.size for residuals in found["residuals"])
 
 
-@CLAIMS.add("stein-identity", SECTION, "E[S f^T] = -E[grad f] for smooth f of compact support.")
+@CLAIMS.add("stein-identity", SECTION)
 def _identity(rows: Rows) -> Judged:
+    """E[S f^T] = -E[grad f] for smooth f of compact support."""
     exact = _of(rows, EXACT)
     entries, z, slopes = _entries(exact), float(exact["z"].max()), Span.of(exact["slope"])
     limit = z_limit(entries)
@@ -289,8 +290,9 @@ def _identity(rows: Rows) -> Judged:
     }, Verdict.when(z <= limit and falls)
 
 
-@CLAIMS.add("stein-log-density", SECTION, "E[S log p] = 0, and E[S] = 0.")
+@CLAIMS.add("stein-log-density", SECTION)
 def _log_density(rows: Rows) -> Judged:
+    """E[S log p] = 0, and E[S] = 0."""
     exact = _of(rows, EXACT)
     z = float(exact[["log_z", "mean_z"]].max().max())
     # Two coordinates each of E[S log p] and E[S].
@@ -315,12 +317,9 @@ def _learned(rows: Rows, recipe: str) -> Judged:
     }, Verdict.when(one["z"] <= limit, one["share"] <= PART)
 
 
-@CLAIMS.add(
-    "stein-squashed-identity",
-    NORMALISED,
-    "The normalised score s = tanh(k_s |S|) S / |S| does not satisfy the identity.",
-)
+@CLAIMS.add("stein-squashed-identity", NORMALISED)
 def _squashed(rows: Rows) -> Judged:
+    """The normalised score s = tanh(k_s |S|) S / |S| does not satisfy the identity."""
     squashed, rescaled = _of(rows, SQUASHED_NAME), _of(rows, RESCALED_NAME)
     z, limit = float(squashed["z"].min()), z_limit(_entries(squashed))
     figures: dict[str, Any] = {
@@ -336,8 +335,9 @@ def _squashed(rows: Rows) -> Judged:
     return figures, Verdict.when(z > limit)
 
 
-@CLAIMS.add("stein-squashed-mean", NORMALISED, "The normalised score does not have mean zero.")
+@CLAIMS.add("stein-squashed-mean", NORMALISED)
 def _squashed_mean(rows: Rows) -> Judged:
+    """The normalised score does not have mean zero."""
     squashed = _of(rows, SQUASHED_NAME)
     strongest = squashed.nlargest(1, "mean_z").iloc[0]
     z, limit = float(strongest["mean_z"]), z_limit(2 * sum(map(len, squashed["mean"])))

@@ -46,8 +46,11 @@ def test_figures_say_themselves_how_they_are_told():
 def test_a_claim_is_judged_by_its_figures_and_tells_them():
     claims = Claims()
 
-    @claims.add("grow", "Section IX", "Squares grow.", of_paper=False)
+    @claims.add("grow", "Section IX", of_paper=False)
     def grow(rows):
+        """Squares
+        grow.
+        """
         larger = Count.of(rows["squares"]["square"] > 1)
         largest = float(rows["squares"]["square"].max())
         told = {"larger": larger, "largest": largest, "part": Share(0.5)}
@@ -57,16 +60,22 @@ def test_a_claim_is_judged_by_its_figures_and_tells_them():
     assert finding.verdict is PARTLY
     assert finding.evidence == "larger: 2 of 3; largest: 1.23e+03; part: 50%."
     assert (finding.key, finding.source, finding.of_paper) == ("grow", "Section IX", False)
+    assert finding.statement == "Squares grow."
 
 
 def test_the_page_of_findings_judges_stored_rows_and_tells_ours_apart(tmp_path, monkeypatch):
     claims = Claims()
-    for whose, limit in (("Theirs", 3), ("Ours", 4)):
 
-        @claims.add("grow", "Section IX", f"{whose} grow.", of_paper=whose == "Theirs")
-        def grow(rows, limit=limit):
-            largest = int(rows["squares"]["square"].max())
-            return {"largest": largest}, Verdict.when(largest > limit)
+    @claims.add("theirs", "Section IX")
+    def grow(rows):
+        """Theirs grow."""
+        largest = int(rows["squares"]["square"].max())
+        return {"largest": largest}, Verdict.when(largest > 3)
+
+    @claims.add("ours", "Section IX", of_paper=False)
+    def grow_more(rows):
+        """Ours grow."""
+        return grow(rows)[0], Verdict.FAILS
 
     kind = SimpleNamespace(
         findings=lambda rows: [judge(one, rows) for one in claims],
