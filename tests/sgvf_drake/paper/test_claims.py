@@ -8,7 +8,7 @@ import pytest
 
 from sgvf_drake.paper import findings
 from sgvf_drake.paper.claims import Claims, Count, Mean, Share, Span, Verdict, judge
-from sgvf_drake.paper.experiment import Exhibit, save_rows
+from sgvf_drake.paper.experiment import Exhibit, SeedsTable, count, first, save_rows
 
 DOCS = Path(__file__).parents[3] / "docs"
 HOLDS, PARTLY, FAILS = Verdict.HOLDS, Verdict.PARTLY, Verdict.FAILS
@@ -61,6 +61,26 @@ def test_a_claim_is_judged_by_its_figures_and_tells_them():
     assert finding.evidence == "larger: 2 of 3; largest: 1.23e+03; part: 50%."
     assert (finding.key, finding.source, finding.of_paper) == ("grow", "Section IX", False)
     assert finding.statement == "Squares grow."
+
+
+def test_a_table_tells_what_the_seeds_of_a_group_say():
+    rows = pd.DataFrame(
+        {"shape": ["a", "a", "b"], "lap": [0.5, 1.0, 0.25], "good": [True, False, True]}
+    )
+    columns = {
+        "lap": ("lap", (0.0, 1.0)),
+        "most": ("lap", pd.Series.max),
+        "good": ("good", count),
+        "one": ("good", first),
+        "both": ("lap", lambda own: {"seeds": len(own), "sum": own.sum()}),
+    }
+    table = SeedsTable("laps", "How many lap.", columns).of(rows, ("shape",)).content
+    one, other = table.to_dict("records")
+    assert (one["lap mean"], one["lap low"], one["lap high"]) == (0.75, 0.0, 1.0)
+    assert (one["most"], one["good"], one["one"]) == (1.0, "1 of 2", True)
+    assert (one["seeds"], one["sum"], other["seeds"], other["sum"]) == (2, 1.5, 1, 0.25)
+    intervals = ("lap mean", "lap low", "lap high")
+    assert [*table] == ["shape", *intervals, "most", "good", "one", "seeds", "sum"]
 
 
 def test_the_page_of_findings_judges_stored_rows_and_tells_ours_apart(tmp_path, monkeypatch):
