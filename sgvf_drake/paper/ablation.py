@@ -370,21 +370,22 @@ class Ablation(Experiment):
     seeds_tables: ClassVar[Sequence[SeedsTable]]
 
     @abstractmethod
-    def trials(self) -> Sequence[AblationTrial]:
-        """Returns the trials, those of the first seed first."""
-
-    def trial(self, **options: Any) -> AblationTrial:
-        """Returns a trial with the options that all kinds have."""
-        return AblationTrial(
-            starts=self.starts,
-            ratios=tuple(self.ratios),
-            score_iterations=self.score_iterations,
-            tangent_iterations=self.tangent_iterations,
-            **options,
-        )
+    def cells(self) -> Sequence[Mapping[str, Any]]:
+        """Returns what tells the trials of one seed apart, by the fields of a trial."""
 
     def measure(self, bench: Workbench) -> Rows:
-        trials = self.trials()
+        trials = [
+            AblationTrial(
+                seed=seed,
+                starts=self.starts,
+                ratios=tuple(self.ratios),
+                score_iterations=self.score_iterations,
+                tangent_iterations=self.tangent_iterations,
+                **cell,
+            )
+            for seed in self.seeds
+            for cell in self.cells()
+        ]
         return {FIELDS: fields_table(run_trials(bench, measure_ablation, trials, "ablation"))}
 
     def tables(self, rows: Rows) -> Sequence[Exhibit]:

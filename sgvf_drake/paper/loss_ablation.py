@@ -7,8 +7,9 @@ A claim holds where every part is found in every network, in part where any part
 any network.  A single seed finds nothing.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from sgvf_drake.experiments.intervals import POSITIVE, SHARE
 from sgvf_drake.paper.ablation import (
@@ -17,7 +18,6 @@ from sgvf_drake.paper.ablation import (
     FIELDS,
     FOLLOWED,
     Ablation,
-    AblationTrial,
     Effect,
     MeasurePanel,
     effect_of,
@@ -111,18 +111,11 @@ class LossAblation(Ablation):
     panels = PANELS
     seeds_tables = TABLES
 
-    def trials(self) -> Sequence[AblationTrial]:
+    def cells(self) -> Sequence[Mapping[str, Any]]:
+        variants = ("no-unit", "no-orthogonality", "no-direction")
+        own = {"recipe": "paper", "shape": self.shape, "patience": self.patience}
         return [
-            self.trial(
-                recipe="paper",
-                shape=self.shape,
-                seed=seed,
-                hidden=tuple(hidden),
-                variants=("no-unit", "no-orthogonality", "no-direction"),
-                patience=self.patience,
-            )
-            for seed in self.seeds
-            for hidden in self.networks
+            {**own, "hidden": tuple(hidden), "variants": variants} for hidden in self.networks
         ]
 
     def claims(self) -> Sequence[Claim]:

@@ -7,9 +7,10 @@ its place where something that agents do, or the sublevel checks, gets worse on 
 shape; in part where only the accuracy of score and tangent does; not where nothing does.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from typing import Any
 
 import pandas as pd
 
@@ -19,7 +20,6 @@ from sgvf_drake.paper.ablation import (
     FOLLOWED,
     SPEED_ERROR,
     Ablation,
-    AblationTrial,
     MeasurePanel,
     effect_of,
 )
@@ -102,25 +102,16 @@ class RecipeAblation(Ablation):
     panels = PANELS
     seeds_tables = TABLES
 
-    def trials(self) -> Sequence[AblationTrial]:
-        """Returns the trials.
+    def cells(self) -> Sequence[Mapping[str, Any]]:
+        """Returns a trial a shape.
 
         Raises:
             ConfigurationError: If there is no such variant.
         """
         check_names("variant", self.variants, STATEMENTS)
-        return [
-            self.trial(
-                recipe="robust",
-                shape=shape,
-                seed=seed,
-                hidden=None,
-                variants=tuple(self.variants),
-                patience=1.0,
-            )
-            for seed in self.seeds
-            for shape in self.shapes
-        ]
+        own = {"recipe": "robust", "hidden": None, "patience": 1.0}
+        variants = tuple(self.variants)
+        return [{**own, "shape": shape, "variants": variants} for shape in self.shapes]
 
     def claims(self) -> Sequence[Claim]:
         return [
