@@ -271,9 +271,9 @@ def _trap_columns(own: pd.Series) -> Row:
 TABLES = (
     SeedsTable(
         "corner_stalls",
-        "Where agents stall: shares of the starts in per cent, and of those that stall "
-        "the share within 0.5 U of a corner, beside the share of the path that is. "
-        "Paused: those that stand still for a while and go on.",
+        "Where agents stall: shares of the starts in per cent, and of those that stall the "
+        "share within 0.5 U of a corner, beside the share of the path that is. Paused: those "
+        "that stand still for a while and go on.",
         {
             "fields": ("seed", len),
             "stalled, %": ("stalled", PERCENT),
@@ -287,11 +287,10 @@ TABLES = (
     ),
     SeedsTable(
         "corner_traps",
-        "Traps, stable zeros of m on the path within 0.5 U of a corner: the share of "
-        "corners that have one, how many sit before and after it in the direction of "
-        "travel (or where the sides run against each other) and how many outside of "
-        "the polygon; and the least |m| near corners and about the middle of sides, "
-        "means over them.",
+        "Traps, stable zeros of m on the path within 0.5 U of a corner: the share of corners "
+        "that have one, how many sit before and after it in the direction of travel (or where "
+        "the sides run against each other) and how many outside of the polygon; and the least "
+        "|m| near corners and about the middle of sides, means over them.",
         {
             "fields": ("seed", len),
             "corners with a trap, %": ("trapped", PERCENT),

@@ -305,11 +305,10 @@ def _holding(comparisons: pd.Series) -> Count:
 TABLES = (
     SeedsTable(
         "vanishing_counts",
-        "Zeros of the learned score in each field, means over the seeds: on the path "
-        "(within three noise levels) their indices cancel, off it they add up to one. A "
-        "region is a connected part of the box off the path; in each the indices add up "
-        "to its Euler characteristic. Forced: the fewest zeros off the path that this "
-        "allows.",
+        "Zeros of the learned score in each field, means over the seeds: on the path (within "
+        "three noise levels) their indices cancel, off it they add up to one. A region is a "
+        "connected part of the box off the path; in each the indices add up to its Euler "
+        "characteristic. Forced: the fewest zeros off the path that this allows.",
         {
             "zeros on the path": ("zeros_on_path", POSITIVE),
             "zeros off it": ("zeros_off_path", POSITIVE),
@@ -325,9 +324,9 @@ TABLES = (
     ),
     SeedsTable(
         "vanishing_places",
-        "The chance that a zero of the score has a lower density, or a higher curvature "
-        "of the path, than a place drawn evenly has; 0.5 where zeros do not care. In "
-        "brackets the fields in which it is above 0.5 and not by accident (p < 0.05).",
+        "The chance that a zero of the score has a lower density, or a higher curvature of "
+        "the path, than a place drawn evenly has; 0.5 where zeros do not care. In brackets "
+        "the fields in which it is above 0.5 and not by accident (p < 0.05).",
         {
             "lower density than in the box": ("low_density", _chance),
             "the same off the path": ("low_density_off_path", _chance),
