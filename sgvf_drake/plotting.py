@@ -100,6 +100,13 @@ def plot_waypoints(axes: Axes, points: FloatArray) -> Sequence[Artist]:
     )
 
 
+def plot_plane(axes: Axes, field: Field, box: Box, points: FloatArray, title: str) -> None:
+    """Draws a planar field over a box with the waypoints (N, 2), in labelled axes."""
+    plot_field(axes, field, box)
+    plot_waypoints(axes, points)
+    plane_axes(axes, UNIT, title)
+
+
 def plot_trajectories(
     axes: Axes, positions: FloatArray, followed: Iterable[bool] | None = None
 ) -> Sequence[Artist]:

@@ -141,7 +141,7 @@ def test_results_are_named_as_they_are_written():
     from sgvf_drake.experiments.verify import VERIFY_FILES
     from sgvf_drake.export import C_FILES
     from sgvf_drake.paper.reproduce import REPORT
-    from sgvf_drake.paper.running import SCENARIO_FILE, TRIALS
+    from sgvf_drake.paper.scenario import SCENARIO_FILE, TRIALS
 
     written = (
         *(*TRAIN_FILES, *FOLLOW_FILES, *TOUR_FILES),

@@ -10,30 +10,34 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap, LogNorm
+from matplotlib.figure import Figure
+from matplotlib.quiver import Quiver
 import numpy as np
 import pandas as pd
 
+from sgvf_drake import plotting
+from sgvf_drake.arrays import FloatArray, plane_grid
 from sgvf_drake.experiments.follow import follow
 from sgvf_drake.experiments.intervals import (
     POSITIVE,
     SHARE,
     interval,
-    interval_columns,
-    over_seeds,
 )
 from sgvf_drake.experiments.quality.measures import following, measure_score
 from sgvf_drake.experiments.workbench import Row, Workbench
-from sgvf_drake.fields import GuidingField, ScoreNetwork
+from sgvf_drake.fields import (
+    Field,
+    GuidingField,
+    ScoreNetwork,
+    TangentField,
+    load_guiding_field,
+)
 from sgvf_drake.lyapunov import verify
 from sgvf_drake.lyapunov.band import SIGMA_RATIOS
 from sgvf_drake.metrics import default_duration
-from sgvf_drake.paper.ablation_figures import (
-    ENDS,
-    LAPPED,
-    MeasurePanel,
-    measures_figure,
-    variants_figure,
-)
 from sgvf_drake.paper.along_path import (
     direction_row,
     directions,
@@ -41,10 +45,18 @@ from sgvf_drake.paper.along_path import (
     lengths_row,
     sample_path,
 )
-from sgvf_drake.paper.claims import Count, Rows
-from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
+from sgvf_drake.paper.claims import Rows
+from sgvf_drake.paper.experiment import (
+    FOLDER,
+    Column,
+    Exhibit,
+    Experiment,
+    Range,
+    SeedsTable,
+    run_trials,
+)
 from sgvf_drake.paper.training import trained
-from sgvf_drake.paths import ReferencePath, make_shape
+from sgvf_drake.paths import ReferencePath, make_shape, shape_path
 
 COMPLETE = "complete"
 """The variant that lacks nothing."""
@@ -70,11 +82,7 @@ FIELDS = "fields"
 SPEED_ERROR = "following.speed_error"
 """The largest | |m| - 1 | on the path, from the speeds of `quality.measures.following`."""
 
-Range = tuple[float, float]
 ANY: Range = (-np.inf, np.inf)
-
-Column = tuple[str, Range] | tuple[str, type]
-"""A measure, and what its seeds give: the mean in a range, a `Count`, or the first text."""
 
 FOLLOWED: Mapping[str, Column] = {
     "reach": ("following.reach", SHARE),
@@ -84,6 +92,17 @@ FOLLOWED: Mapping[str, Column] = {
     "RMS, U": ("following.rms_u", POSITIVE),
 }
 """Columns that say how well a field is followed; see `SeedsTable`."""
+
+# In the file of a run: (n, 2) the last positions of its agents, (n,) whether each lapped.
+ENDS, LAPPED = "ends", "followed"
+# Arrows along each side of a field, and measures in a row.
+ARROWS, COLUMNS = 23, 3
+SOURCE, SINK, STOPPED = "^", "v", "o"
+# How far apart groups and seeds are drawn beside a tick, in ticks.
+GROUP_OFFSET, SEED_OFFSET = 0.3, 0.07
+COLORS = (plotting.BLUE, plotting.ORANGE, plotting.GREEN, plotting.RED)
+# Without the palest colours, which do not show on white.
+LENGTHS = ListedColormap(colormaps["YlGnBu"](np.linspace(0.3, 1, 256)))
 
 
 @dataclass(frozen=True)
@@ -149,7 +168,7 @@ def measure_ablation(trial: AblationTrial, folder: Path) -> Row:
             "following": followed_row(field, reference, trial.starts, trial.patience, run),
             "check": checked_row(field, reference, trial.ratios),
             "score": measure_score(field, reference, trial.seed),
-            "lengths": lengths_row(field, reference, samples),
+            "lengths": lengths_row(field, reference),
             "drift": drift_row(field, reference, samples),
             "tangent": direction_row(directions(samples, v, unit)),
             "whole": direction_row(directions(samples, m, unit)),
@@ -165,9 +184,8 @@ def followed_row(
     """Follows a field in one diagram; leaves in a file where its agents ended.
 
     Returns:
-        What `quality.measures.following` does; `settle`, the fraction of agents that stayed
-        near the path over the last lap; `followable`: whether every agent completed a lap,
-        and some did on each piece.
+        What `quality.measures.following` does; `followable`: whether every agent completed a
+        lap, and some did on each piece.
     """
     unit = field.cloud.unit_length
     run = follow(field, reference, starts, patience * default_duration(reference, unit))
@@ -176,7 +194,6 @@ def followed_row(
     lapped_on = [(metrics.piece == piece).any() for piece in range(len(reference.pieces))]
     return {
         **following(run, unit),
-        "settle": float(metrics.settled.mean()),
         "followable": bool(metrics.lapped.all() and all(lapped_on)),
     }
 
@@ -215,7 +232,7 @@ def fields_table(trials: pd.DataFrame) -> pd.DataFrame:
     rows = [
         {
             **{name: trial[name] for name in labels},
-            "network": _network(trial["hidden"]) if trial["hidden"] else None,
+            "network": trial["hidden"] and str([2, *trial["hidden"], 2]).replace(" ", ""),
             "variant": variant,
             **trial[variant],
         }
@@ -225,10 +242,6 @@ def fields_table(trials: pd.DataFrame) -> pd.DataFrame:
     fields = pd.json_normalize(rows)
     slow, fast = 1 - fields["following.speed_min"], fields["following.speed_max"] - 1
     return fields.assign(**{SPEED_ERROR: pd.concat([slow, fast], axis=1).max(axis=1)})
-
-
-def _network(hidden: Sequence[int]) -> str:
-    return f"[{','.join(map(str, (2, *hidden, 2)))}]"
 
 
 @dataclass(frozen=True)
@@ -304,35 +317,27 @@ def effect_of(
 
 
 @dataclass(frozen=True)
-class SeedsTable:
-    """A table of one row a group and variant, with what its seeds say.
+class MeasurePanel:
+    """A measure to be drawn over the variants.
 
     Attributes:
-        name: Name of the exhibit.
-        caption: Caption of the exhibit.
-        columns: The columns by their headers.
+        measure: Its column.
+        label: What it is, with the unit; above the panel.
+        within: The range of its means.
+        log: Whether the axis is logarithmic; the means are then geometric.
     """
 
-    name: str
-    caption: str
-    columns: Mapping[str, Column]
+    measure: str
+    label: str
+    within: Range = POSITIVE
+    log: bool = False
 
-    def of(self, table: pd.DataFrame, group: str) -> Exhibit:
-        """Returns the table of fields, from one row a field."""
-
-        def row_of(fields: pd.DataFrame) -> Row:
-            row: Row = {}
-            for header, (measure, kind) in self.columns.items():
-                values = fields[measure]
-                if isinstance(kind, tuple):
-                    row |= interval_columns(header, values.astype(float), kind)
-                else:
-                    row[header] = str(Count.of(values)) if kind is Count else values.iloc[0]
-            return row
-
-        names = {variant: name for variant, (name, _) in VARIANTS.items()}
-        named = table.assign(variant=table["variant"].map(names))
-        return Exhibit(self.name, self.caption, over_seeds(named, (group, "variant"), row_of))
+    def mean(self, values: FloatArray) -> tuple[float, float, float]:
+        """Returns the mean of the values of the seeds, with its interval."""
+        if self.log:
+            mean, low, high = np.exp(interval(np.log(values)))
+            return float(mean), float(low), float(high)
+        return interval(values, self.within)
 
 
 @dataclass
@@ -355,8 +360,9 @@ class Ablation(Experiment):
 
     # What a kind says of itself: the column that tells trials of the same seed apart, what is
     # drawn of the fields and which of its lengths are told apart by colour, the captions of
-    # the figures of fields (with {} for the seed) and of measures, and what these tell.
-    group: ClassVar[Literal["network", "shape"]]
+    # the figures of fields (with {} for the seed) and of measures, and what these and the
+    # tables tell.
+    group: ClassVar[str]
     symbol: ClassVar[Literal["v", "m"]]
     span: ClassVar[Range]
     captions: ClassVar[tuple[str, str]]
@@ -364,36 +370,141 @@ class Ablation(Experiment):
     seeds_tables: ClassVar[Sequence[SeedsTable]]
 
     @abstractmethod
-    def trials(self) -> Sequence[AblationTrial]:
-        """Returns the trials, those of the first seed first."""
-
-    def trial(self, **options: Any) -> AblationTrial:
-        """Returns a trial with the options that all kinds have."""
-        return AblationTrial(
-            starts=self.starts,
-            ratios=tuple(self.ratios),
-            score_iterations=self.score_iterations,
-            tangent_iterations=self.tangent_iterations,
-            **options,
-        )
+    def cells(self) -> Sequence[Mapping[str, Any]]:
+        """Returns what tells the trials of one seed apart, by the fields of a trial."""
 
     def measure(self, bench: Workbench) -> Rows:
-        trials = self.trials()
+        trials = [
+            AblationTrial(
+                seed=seed,
+                starts=self.starts,
+                ratios=tuple(self.ratios),
+                score_iterations=self.score_iterations,
+                tangent_iterations=self.tangent_iterations,
+                **cell,
+            )
+            for seed in self.seeds
+            for cell in self.cells()
+        ]
         return {FIELDS: fields_table(run_trials(bench, measure_ablation, trials, "ablation"))}
 
-    def figures(self, rows: Rows) -> Sequence[Exhibit]:
-        fields, (drawn, measured) = rows[FIELDS], self.captions
-        first = fields[fields["seed"] == self.seeds[0]]
-        names = {name: VARIANTS[name][0] for name in fields["variant"].unique()}
-        variants = variants_figure(first, self.group, names, self.symbol, self.span)
-        measures = measures_figure(fields, self.panels, self.group, names)
-        return [
-            Exhibit("fields", drawn.format(self.seeds[0]), variants),
-            Exhibit("measures", measured, measures),
-        ]
-
     def tables(self, rows: Rows) -> Sequence[Exhibit]:
-        return [table.of(rows[FIELDS], self.group) for table in self.seeds_tables]
+        names = [VARIANTS[variant][0] for variant in rows[FIELDS]["variant"]]
+        fields = rows[FIELDS].assign(variant=names)
+        return [table.of(fields, (self.group, "variant")) for table in self.seeds_tables]
+
+    def figures(self, rows: Rows) -> Sequence[Exhibit]:
+        fields, seed, (drawn, measured) = rows[FIELDS], self.seeds[0], self.captions
+        of_seed = fields[fields["seed"] == seed]
+        variants = variants_figure(of_seed, self.group, self.symbol, self.span)
+        return [
+            Exhibit("fields", drawn.format(seed), variants),
+            Exhibit("measures", measured, measures_figure(fields, self.group, self.panels)),
+        ]
 
     def logs(self, rows: Rows) -> Mapping[str, pd.DataFrame]:
         return {FIELDS: rows[FIELDS].drop(columns=FOLDER, errors="ignore")}
+
+
+def variants_figure(
+    fields: pd.DataFrame, group: str, symbol: Literal["v", "m"], span: Range
+) -> Figure:
+    """Returns fields side by side: a row for each group, a column for each variant.
+
+    Args:
+        fields: One row a field, of one seed: columns shape, variant, folder and the group.
+        group: The column that tells the rows apart.
+        symbol: What is drawn.
+        span: The lengths that are told apart by colour; shorter and longer ones look like
+            these.
+    """
+    groups, columns = list(fields.groupby(group, sort=False)), fields["variant"].nunique()
+    figure, axes = plotting.new_figure(
+        len(groups), columns, 2.7 * columns + 0.8, 2.6 * len(groups) + 0.8
+    )
+    panels = iter(axes)
+    for row, (name, own) in enumerate(groups):
+        label = f"{symbol} by {name!s}" if group == "network" else str(name)
+        for one, panel in zip(own.to_dict("records"), panels, strict=False):
+            stem, reference = one[FOLDER] / one["variant"], shape_path(one["shape"])
+            arrows = _draw_field(panel, stem, reference, symbol, span)
+            title = VARIANTS[one["variant"]][0] if row == 0 else ""
+            plotting.plane_axes(panel, plotting.UNIT, title)
+            panel.label_outer()
+        axes[row * columns].set_ylabel(f"{label}\ny [{plotting.UNIT}]")
+    figure.colorbar(arrows, ax=axes, label=f"$|{symbol}|$", extend="both", pad=0.01)
+    turn = {"color": "white", "markeredgecolor": "black"}
+    marks = [
+        plotting.mark("waypoint", "o", plotting.BLUE, markersize=4),
+        plotting.mark(f"{symbol} parts on the path (source)", SOURCE, **turn),
+        plotting.mark(f"{symbol} meets on the path (sink)", SINK, **turn),
+        plotting.mark("end of a failed agent", STOPPED, plotting.RED),
+    ]
+    plotting.legend_below(figure, marks)
+    return figure
+
+
+def _draw_field(
+    axes: Axes,
+    stem: Path,
+    reference: ReferencePath,
+    symbol: Literal["v", "m"],
+    span: Range,
+) -> Quiver:
+    """Draws a stored field, and what keeps agents from following it.
+
+    Arrows of one length and waypoints are coloured by the length of what is drawn.
+    """
+    field = load_guiding_field(stem.with_suffix(".safetensors"))
+    run = np.load(stem.with_suffix(".npz"))
+    part: Field = TangentField(field) if symbol == "v" else field
+    cloud = field.cloud
+    _, _, x = plane_grid(cloud.box, ARROWS)
+    vectors = part(x)
+    length = np.linalg.norm(vectors, axis=1)
+    unit = vectors / np.maximum(length, np.finfo(np.float64).tiny)[:, None]
+    colors: dict[str, Any] = {"cmap": LENGTHS, "norm": LogNorm(*span)}
+    arrows = axes.quiver(
+        *x.T, *unit.T, length, **colors, pivot="mid", scale=1.15 * ARROWS, width=0.006
+    )
+    lengths = np.linalg.norm(part(cloud.points), axis=1)
+    axes.scatter(cloud.points[:, 0], cloud.points[:, 1], s=14, c=lengths, **colors)
+    axes.plot(*run[ENDS][~run[LAPPED]].T, STOPPED, color=plotting.RED, markersize=5)
+    samples = sample_path(reference, cloud.unit_length)
+    for piece in directions(samples, part(samples.points), cloud.unit_length):
+        for points, mark in ((piece.sources, SOURCE), (piece.sinks, SINK)):
+            axes.plot(*points.T, mark, color="white", markeredgecolor="black", markersize=8)
+    return arrows
+
+
+def measures_figure(table: pd.DataFrame, group: str, panels: Sequence[MeasurePanel]) -> Figure:
+    """Returns measures over the variants: every seed, and means with 95 % intervals.
+
+    Args:
+        table: One row a field, columns variant, the group and the measures.
+        group: The column that tells the colours apart.
+        panels: The measures.
+    """
+    names = {name: VARIANTS[name][0] for name in table["variant"].unique()}
+    rows = -(-len(panels) // COLUMNS)
+    figure, axes = plotting.new_figure(rows, COLUMNS, 3.8 * COLUMNS, 3.0 * rows + 0.6)
+    groups = list(table.groupby(group, sort=False))
+    for panel, own in zip(panels, axes, strict=False):
+        for number, (name, fields) in enumerate(groups):
+            values = fields.pivot(index="seed", columns="variant", values=panel.measure)
+            by_variant = values[[*names]].to_numpy(dtype=np.float64)
+            style: dict[str, Any] = {"color": COLORS[number % len(COLORS)], "markersize": 5}
+            x = np.arange(len(names)) + GROUP_OFFSET * (number - (len(groups) - 1) / 2)
+            means = [panel.mean(here) for here in by_variant.T]
+            plotting.plot_intervals(own, x, means, fmt="o", label=str(name), **style)
+            beside = np.linspace(-1, 1, len(values)) if len(values) > 1 else np.zeros(1)
+            own.plot(SEED_OFFSET * beside[:, None] + x, by_variant, ".", alpha=0.35, **style)
+        own.set_xticks(range(len(names)), list(names.values()), rotation=20, ha="right")
+        # Without any value there is no logarithmic axis.
+        log = panel.log and table[panel.measure].notna().any()
+        own.set(title=panel.label, yscale="log" if log else "linear")
+        own.grid(axis="y", alpha=0.3)
+    for spare in axes[len(panels) :]:
+        spare.set_axis_off()
+    plotting.legend_below(figure, *axes[0].get_legend_handles_labels())
+    return figure

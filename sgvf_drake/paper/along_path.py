@@ -66,12 +66,10 @@ class PieceDirection:
     Attributes:
         sources: (k, d) where the arrows part.
         sinks: (l, d) where they meet.
-        against: Share of the length on which they point against the longer part of it.
     """
 
     sources: FloatArray
     sinks: FloatArray
-    against: float
 
 
 def sample_path(reference: ReferencePath, unit_length: float) -> PathSamples:
@@ -118,16 +116,10 @@ def directions(
         shortest = int(np.ceil(SHORTEST * unit_length / step))
         forward = _without_short_stretches(along[here] >= 0, bool(closed), shortest)
         turns = _turns(forward, bool(closed))
-        points, share = samples.points[here], float(forward.mean())
+        points = samples.points[here]
         # Index -1 is the last sample: on a closed piece, the one before the first.
         places = (points[turns - 1] + points[turns]) / 2
-        found.append(
-            PieceDirection(
-                sources=places[forward[turns]],
-                sinks=places[~forward[turns]],
-                against=min(share, 1 - share),
-            )
-        )
+        found.append(PieceDirection(places[forward[turns]], places[~forward[turns]]))
     return found
 
 
@@ -161,27 +153,22 @@ def direction_row(pieces: Sequence[PieceDirection]) -> Row:
     """Sums up which way a field runs along the pieces of a path.
 
     Returns:
-        sources, sinks: their number on a piece, the mean over pieces; conflicted: the share
-        of pieces that have any; opposed: the largest share of the length of a piece on which
-        the field runs against the rest of it.
+        sources: their number on a piece, the mean over pieces; conflicted: the share of
+        pieces that have any source or sink.
     """
     return {
         "sources": float(np.mean([len(piece.sources) for piece in pieces])),
-        "sinks": float(np.mean([len(piece.sinks) for piece in pieces])),
         "conflicted": float(np.mean([len(p.sources) + len(p.sinks) > 0 for p in pieces])),
-        "opposed": max(piece.against for piece in pieces),
     }
 
 
-def lengths_row(field: GuidingField, reference: ReferencePath, samples: PathSamples) -> Row:
-    """Measures how long v and m of a planar field are, on its true path and over the box.
+def lengths_row(field: GuidingField, reference: ReferencePath) -> Row:
+    """Measures how long v and m of a planar field are, on a grid over the box.
 
     Returns:
-        v_path, v_path_min, v_path_max, and the same of m: mean and extremes on the path;
-        v_box, v_box_sd, v_box_min, v_box_max: of |v| on a grid over the box; m_error: the
-        root mean square of |m| - 1 there; v_near, v_away: mean |v| at the points of the
-        grid that are `NEAR` the path and `AWAY` from it; fading: the one over the other;
-        leads_near, leads_away: the share of these points at which v is longer than s.
+        v_box_max: the longest v; m_error: the root mean square of |m| - 1; fading: mean |v|
+        at the points of the grid that are `NEAR` the path, over that at those `AWAY` from it;
+        leads_away: the share of the latter at which v is longer than s.
     """
     _, _, x = plane_grid(field.cloud.box, GRID_SIZE)
     s, v = field.components(x)
@@ -190,26 +177,11 @@ def lengths_row(field: GuidingField, reference: ReferencePath, samples: PathSamp
     error = np.linalg.norm(s + v, axis=1) - 1
     distance = reference.project(x).distance / field.cloud.unit_length
     near, away = distance < NEAR, distance > AWAY
-    s_path, v_path = field.components(samples.points)
     return {
-        **_extremes("v_path", np.linalg.norm(v_path, axis=1)),
-        **_extremes("m_path", np.linalg.norm(s_path + v_path, axis=1)),
-        **_extremes("v_box", length),
-        "v_box_sd": float(length.std()),
+        "v_box_max": float(length.max()),
         "m_error": float(np.sqrt((error**2).mean())),
-        "v_near": float(length[near].mean()),
-        "v_away": float(length[away].mean()),
         "fading": float(length[near].mean() / length[away].mean()),
-        "leads_near": float(leads[near].mean()),
         "leads_away": float(leads[away].mean()),
-    }
-
-
-def _extremes(name: str, values: FloatArray) -> Row:
-    return {
-        name: float(values.mean()),
-        f"{name}_min": float(values.min()),
-        f"{name}_max": float(values.max()),
     }
 
 
@@ -218,20 +190,22 @@ def drift_row(field: GuidingField, reference: ReferencePath, samples: PathSample
 
     Returns:
         beside_cosine: mean |cos(s, v)| at distances `BESIDE` from the path; outward: the
-        mean component of v / |v| away from the path there; kept: the share of agents that
-        stay within `SETTLE_DISTANCE` of the path as they go `WAY` where v points, from the
-        path on; drift_u: their mean distance from the path in the end, U.
+        mean component of v / |v| away from the path there; drift_u: the mean distance from
+        the path, U, of agents that went `WAY` where v points, from the path on.
     """
     unit = field.cloud.unit_length
     x, away = _beside(samples, unit)
     s, v = field.components(x)
-    distance = _follow_tangent(field, reference, samples) / unit
+    along_v = replace(field, composition=NormalisedComposition(NO_SCORE))
+    chosen = np.linspace(0, len(samples.points), AGENTS, endpoint=False).astype(int)
+    _, positions, _ = simulate_agents(
+        along_v, samples.points[chosen], unit, way=WAY, step=STEP, log_period=STEP
+    )
     return {
         "beside_cosine": float(np.abs(cosine(s, v)).mean()),
         # Along v, whose length it is divided by.
         "outward": float(component_along(v, away).mean()),
-        "kept": float((distance.max(axis=0) <= SETTLE_DISTANCE).mean()),
-        "drift_u": float(distance[-1].mean()),
+        "drift_u": float(reference.project(positions[-1]).distance.mean()) / unit,
     }
 
 
@@ -241,17 +215,3 @@ def _beside(samples: PathSamples, unit: float) -> tuple[FloatArray, FloatArray]:
     away = np.concatenate([side * normals for side in (-1, 1) for _ in BESIDE])
     distances = np.tile(np.repeat(BESIDE, len(normals)), 2)[:, None]
     return np.tile(samples.points, (2 * len(BESIDE), 1)) + distances * unit * away, away
-
-
-def _follow_tangent(
-    field: GuidingField, reference: ReferencePath, samples: PathSamples
-) -> FloatArray:
-    """Returns the distances (T, n) of agents that go where v points, from the path on."""
-    direction = replace(field, composition=NormalisedComposition(NO_SCORE))
-    starts = samples.points[
-        np.linspace(0, len(samples.points), AGENTS, endpoint=False).astype(int)
-    ]
-    _, positions, _ = simulate_agents(
-        direction, starts, field.cloud.unit_length, way=WAY, step=STEP, log_period=STEP
-    )
-    return reference.project(positions.reshape(-1, 2)).distance.reshape(-1, AGENTS)

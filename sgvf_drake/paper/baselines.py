@@ -27,13 +27,21 @@ import pandas as pd
 from sgvf_drake import plotting
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments.follow import FollowResult, PathField, follow, follow_network
-from sgvf_drake.experiments.intervals import SHARE, interval, interval_columns, over_seeds
+from sgvf_drake.experiments.intervals import POSITIVE, SHARE
 from sgvf_drake.experiments.workbench import Row, Workbench
 from sgvf_drake.fields import DirectedField, Field, ParametricField
 from sgvf_drake.learning.recipes import RECIPES
 from sgvf_drake.metrics import default_duration
-from sgvf_drake.paper.claims import Claim, Count, Figures, Rows, Verdict, every
-from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, check_names, run_trials
+from sgvf_drake.paper.claims import Claim, Count, Judged, Rows, Verdict
+from sgvf_drake.paper.experiment import (
+    FOLDER,
+    Column,
+    Exhibit,
+    Experiment,
+    SeedsTable,
+    check_names,
+    run_trials,
+)
 from sgvf_drake.paper.methods import CASES, DIRECTED, LEARNED, METHODS, make_case
 from sgvf_drake.paper.ways import (
     Ways,
@@ -110,6 +118,15 @@ _MEASURES = (
     "are theirs too. Build: CPU time to the first value; point: time of one value, without "
     "compiling. Means over the seeds with 95 % intervals; max is of all."
 )
+_COLUMNS: Mapping[str, Column] = {
+    "success": ("success", SHARE),
+    "coverage": ("coverage", pd.Series.mean),
+    "RMS, U": ("rms_u", POSITIVE),
+    "max, U": ("max_u", pd.Series.max),
+    "effort, 1/U": ("effort", POSITIVE),
+    "build, s": ("build_s", pd.Series.mean),
+    "point, µs": ("evaluation_us", pd.Series.min),
+}
 
 
 @dataclass(frozen=True)
@@ -265,23 +282,23 @@ class BaselineComparison(Experiment):
     def claims(self) -> list[Claim]:
         """Returns the claims whose cases and methods are run."""
         run, found = self._cells(), []
-        for key, source, statement, cases, methods, measure, rule in _CLAIMS:
+        for key, source, statement, cases, methods, measure in _CLAIMS:
             cells = [(case, name) for case in cases for name in methods if (case, name) in run]
             if measure is _advantage:
                 cells = [cell for cell in cells if _sides(cell[0], cells) == {True, False}]
             if cells:
                 measured = partial(measure, cells=cells)
                 of_paper = set(methods).isdisjoint(DIRECTED)
-                found.append(Claim(key, source, statement, measured, rule, of_paper))
+                found.append(Claim(key, source, statement, measured, of_paper))
         return found
 
     def tables(self, rows: Rows) -> list[Exhibit]:
         """Returns a table a case."""
+        labels = {name: method.label for name, method in METHODS.items()}
+        cells = rows["cells"].assign(method=rows["cells"]["method"].map(labels))
         return [
-            Exhibit(
-                f"baselines_{case}",
-                f"{CAPTIONS[case]} {_MEASURES}",
-                _table(case, rows["cells"]),
+            SeedsTable(f"baselines_{case}", f"{CAPTIONS[case]} {_MEASURES}", _COLUMNS).of(
+                cells[cells["case"] == case].astype({"max_u": float}), ("method",)
             )
             for case in self.cases
         ]
@@ -323,25 +340,6 @@ class BaselineComparison(Experiment):
         return {"baselines": rows["cells"].drop(columns=FOLDER, errors="ignore")}
 
 
-def _table(case: str, cells: pd.DataFrame) -> pd.DataFrame:
-    numbers = ["success", "coverage", "rms_u", "max_u", "effort", "build_s", "evaluation_us"]
-    own = cells[cells["case"] == case].astype(dict.fromkeys(numbers, float))
-    labels = {name: method.label for name, method in METHODS.items()}
-    return over_seeds(
-        own.assign(method=own["method"].map(labels)),
-        ("method",),
-        lambda found: {
-            **interval_columns("success", found["success"], SHARE),
-            "coverage": found["coverage"].mean(),
-            **interval_columns("RMS, U", found["rms_u"]),
-            "max, U": found["max_u"].max(),
-            **interval_columns("effort, 1/U", found["effort"]),
-            "build, s": interval(found["build_s"])[0],
-            "point, µs": found["evaluation_us"].min(),
-        },
-    )
-
-
 def _followed(success: float, covered: float) -> str:
     part = f"{100 * success:.0f} %"
     return f"{part} on {100 * covered:.3g} % of it" if success >= HANDLED > covered else part
@@ -369,124 +367,117 @@ def _told(shares: pd.DataFrame) -> dict[str, str]:
     return {name: ", ".join(texts) for name, texts in told.items()}
 
 
-def _handled(rows: Rows, cells: Cells) -> Figures:
+def _handled(rows: Rows, cells: Cells) -> Judged:
     shares = _shares(rows, cells)
-    return {"handled": Count.of(shares["least"] >= HANDLED), **_told(shares)}
+    handled = Count.of(shares["least"] >= HANDLED)
+    return {"handled": handled, **_told(shares)}, Verdict.every(handled)
 
 
-def _own_handled(rows: Rows, cells: Cells) -> Figures:
+def _own_handled(rows: Rows, cells: Cells) -> Judged:
     """As `_handled` of the paper's recipe, with the other recipes told beside it."""
     run = set(rows["cells"].groupby(["case", "method"]).groups)
     everyone = [(case, name) for case, _ in cells for name in LEARNED if (case, name) in run]
-    return {**_handled(rows, cells), **_told(_shares(rows, everyone))}
+    figures, verdict = _handled(rows, cells)
+    return {**figures, **_told(_shares(rows, everyone))}, verdict
 
 
-def _broken(rows: Rows, cells: Cells) -> Figures:
+def _broken(rows: Rows, cells: Cells) -> Judged:
     shares = _shares(rows, cells)
-    return {"broken": Count.of(shares["success"] <= BROKEN), **_told(shares)}
+    broken = Count.of(shares["success"] <= BROKEN)
+    return {"broken": broken, **_told(shares)}, Verdict.every(broken)
 
 
-def _failures(rows: Rows, cells: Cells) -> Figures:
+def _failures(rows: Rows, cells: Cells) -> Judged:
+    """Holds if no method handles any of the cases; not if one handles all."""
     shares = _shares(rows, cells)
     handled = (shares["least"] >= HANDLED).groupby("method")
+    some, one_for_all = Count.of(handled.any()), Count.of(handled.all())
     return {
-        "methods that handle a case": Count.of(handled.any()),
-        "methods that handle all cases": Count.of(handled.all()),
+        "methods that handle a case": some,
+        "methods that handle all cases": one_for_all,
         **_told(shares),
-    }
+    }, Verdict.when(some.good == 0, one_for_all.good == 0)
 
 
-def _all_fail(found: Mapping[str, Any]) -> Verdict:
-    """Holds if no method handles any of the cases; not if one handles all."""
-    some, one_for_all = (
-        found[f"methods that handle {what}"] for what in ("a case", "all cases")
-    )
-    return Verdict.when(some.good == 0, one_for_all.good == 0)
-
-
-def _advantage(rows: Rows, cells: Cells) -> Figures:
+def _advantage(rows: Rows, cells: Cells) -> Judged:
     shares = _shares(rows, cells)
     own = shares.index.get_level_values("method").isin(LEARNED)
     best, others = (side["least"].groupby("case").max() for side in (shares[own], shares[~own]))
     left = best[others < HANDLED]
+    handled, partly = Count.of(left >= HANDLED), Count.of(left >= HALF)
     return {
         "cases that no classical method handles, sorting first included": Count(
             len(left), len(best)
         ),
-        "of these handled by SGVF": Count.of(left >= HANDLED),
-        "handled in part": Count.of(left >= HALF),
+        "of these handled by SGVF": handled,
+        "handled in part": partly,
         **_told(shares[own & shares.index.get_level_values("case").isin(left.index)]),
-    }
+    }, Verdict.when(0 < handled.good == handled.all, partly.good > 0)
 
 
-def _has_advantage(found: Mapping[str, Any]) -> Verdict:
-    handled, partly = found["of these handled by SGVF"], found["handled in part"]
-    return Verdict.when(0 < handled.good == handled.all, partly.good > 0)
-
-
-# Key, source, statement, cases, methods, measure and rule.
+# Key, source, statement, cases, methods and measure.
 _CLAIMS = (
     (
         "baselines-ordered",
         "Section I, Fig. 1 (left)",
         "Ordered waypoints are interpolated, by Lagrange's or Fourier's method, to a curve "
         "that a classical guiding vector field follows.",
-        *(["ordered"], INTERPOLATIONS, _handled, every("handled")),
+        *(["ordered"], INTERPOLATIONS, _handled),
     ),
     (
         "baselines-shuffled",
         "Section I, Fig. 1 (middle)",
         "Shuffled waypoints break what takes their order for that of the path.",
-        *(["shuffled"], TAKING_ORDER, _broken, every("broken")),
+        *(["shuffled"], TAKING_ORDER, _broken),
     ),
     (
         "baselines-unordered",
         "Abstract, Section I",
         "Classical methods fail when the waypoints are unordered.",
-        *(["shuffled", "noisy"], CLASSICAL, _failures, _all_fail),
+        *(["shuffled", "noisy"], CLASSICAL, _failures),
     ),
     (
         "baselines-branching",
         "Abstract, Section I, Fig. 1 (right)",
         "Classical methods fail when the path branches.",
-        *(["branching", "streets"], CLASSICAL, _failures, _all_fail),
+        *(["branching", "streets"], CLASSICAL, _failures),
     ),
     (
         "baselines-pieces",
         "Abstract, Section V-A",
         "Classical methods fail when the path is several curves.",
-        *(["pieces"], CLASSICAL, _failures, _all_fail),
+        *(["pieces"], CLASSICAL, _failures),
     ),
     (
         "baselines-corners",
         "Section I",
         "A path with corners, as a square, cannot have a classical guiding vector field.",
-        *(["corners"], CLASSICAL, _failures, _all_fail),
+        *(["corners"], CLASSICAL, _failures),
     ),
     (
         "baselines-sgvf",
         "Abstract, Section I (contribution 1)",
         "SGVF follows unordered, noisy and branching waypoints in one framework; judged by "
         "the paper's own recipe.",
-        *(CLAIMED_CASES, ["paper"], _own_handled, every("handled")),
+        *(CLAIMED_CASES, ["paper"], _own_handled),
     ),
     (
         "baselines-advantage",
         "Abstract, Section VII",
         "SGVF follows paths reliably on which classical guiding vector fields fail.",
-        *(list(CASES), [*CLASSICAL, *STATELESS], _advantage, _has_advantage),
+        *(list(CASES), [*CLASSICAL, *STATELESS], _advantage),
     ),
     (
         "baselines-directed",
         "directed fields",
         "A field m(x, g) that knows its heading follows paths that cross or branch.",
-        *(NETWORK_CASES, DIRECTED, _handled, every("handled")),
+        *(NETWORK_CASES, DIRECTED, _handled),
     ),
     (
         "baselines-directed-advantage",
         "directed fields",
         "A field that knows its heading follows paths that cross or branch on which classical "
         "guiding vector fields fail.",
-        *(NETWORK_CASES, [*CLASSICAL, *DIRECTED], _advantage, _has_advantage),
+        *(NETWORK_CASES, [*CLASSICAL, *DIRECTED], _advantage),
     ),
 )

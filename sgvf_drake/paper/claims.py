@@ -1,16 +1,13 @@
-"""Claims of the paper as rows of a table, and the one function that judges them.
+"""Claims of the paper, and the one function that judges them.
 
-A claim measures a few figures from the rows of the trials and has a rule that turns them into
-a verdict.  The figures say themselves how they are told, so that the evidence needs no words
-of its own.
+A claim measures a few figures from the rows of the trials, from which a verdict follows.  The
+figures say themselves how they are told, so that the evidence needs no words of its own.
 """
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import partial
 import math
-from typing import Any
 
 import pandas as pd
 
@@ -31,6 +28,12 @@ class Verdict(StrEnum):
     def when(cls, holds: bool, partly: bool = False) -> "Verdict":
         """Holds under the first condition, in part under the second, else not."""
         return cls.HOLDS if holds else cls.PARTLY if partly else cls.FAILS
+
+    @classmethod
+    def every(cls, *counts: "Count") -> "Verdict":
+        """Holds where each count is all; in part where some of any are good."""
+        all_good = all(0 < count.good == count.all for count in counts)
+        return cls.when(all_good, any(count.good > 0 for count in counts))
 
 
 @dataclass(frozen=True)
@@ -102,6 +105,9 @@ Figure = Count | Share | Mean | Span | float | int | str
 Figures = Mapping[str, Figure]
 """What is measured of a claim, by what it is called where it is told."""
 
+Judged = tuple[Figures, Verdict]
+"""The figures of a claim, and the verdict that follows from them."""
+
 
 @dataclass(frozen=True)
 class Claim:
@@ -111,8 +117,7 @@ class Claim:
         key: Names it, in small letters with hyphens; no two claims share one.
         source: Where the paper says so: "Section V-C, Fig. 4 (a)".
         statement: What it says, in one sentence of ours.
-        measure: Figures from the rows of the trials.
-        rule: The verdict that follows from the figures.
+        measure: Figures from the rows of the trials, and the verdict.
         of_paper: Whether the paper says so of what was measured; else the claim is ours, or
             is judged by the robust recipe, which is ours.
     """
@@ -120,9 +125,49 @@ class Claim:
     key: str
     source: str
     statement: str
-    measure: Callable[[Rows], Figures]
-    rule: Callable[[Mapping[str, Any]], Verdict]
+    measure: Callable[[Rows], Judged]
     of_paper: bool = True
+
+
+class Claims(list[Claim]):
+    """Claims in the order in which they are told."""
+
+    def add(
+        self, key: str, source: str, of_paper: bool = True
+    ) -> Callable[[Callable[[Rows], Judged]], Callable[[Rows], Judged]]:
+        """Adds a claim that the function below measures; its docstring is the statement."""
+
+        def keep(measure: Callable[[Rows], Judged]) -> Callable[[Rows], Judged]:
+            statement = " ".join((measure.__doc__ or "").split())
+            assert statement, f"the claim {key} says nothing"
+            self.append(Claim(key, source, statement, measure, of_paper))
+            return measure
+
+        return keep
+
+    def of_recipes(self, recipes: Iterable[str]) -> list[Claim]:
+        """Returns the same claims of each of several recipes, the paper's and ours.
+
+        Each is measured from the rows whose column `recipe` names its recipe.  In the
+        statement, {} stands for the recipe.
+        """
+
+        def measured(claim: Claim, recipe: str) -> Callable[[Rows], Judged]:
+            return lambda rows: claim.measure(
+                {name: own[own["recipe"] == recipe] for name, own in rows.items()}
+            )
+
+        return [
+            Claim(
+                f"{claim.key}-{recipe}",
+                claim.source,
+                claim.statement.format(f"(recipe {recipe})"),
+                measured(claim, recipe),
+                of_paper=recipe == "paper",
+            )
+            for recipe in recipes
+            for claim in self
+        ]
 
 
 @dataclass(frozen=True)
@@ -130,7 +175,7 @@ class Finding:
     """A claim that was judged; what is not named here is as that of the `Claim`.
 
     Attributes:
-        verdict: What its rule says.
+        verdict: What follows from the figures.
         evidence: The figures, as "name: figure; name: figure".
     """
 
@@ -144,62 +189,10 @@ class Finding:
 
 def judge(claim: Claim, rows: Rows) -> Finding:
     """Returns the verdict on a claim, and the figures that it rests on."""
-    figures = claim.measure(rows)
+    figures, verdict = claim.measure(rows)
     told = "; ".join(f"{name}: {_text(figure)}" for name, figure in figures.items())
-    return Finding(
-        claim.key,
-        claim.source,
-        claim.statement,
-        claim.rule(figures),
-        f"{told}.",
-        claim.of_paper,
-    )
-
-
-def claims_of_recipes(
-    experiment: str,
-    source: str,
-    recipes: Iterable[str],
-    table: Iterable[tuple[str, str, Callable[[Rows], Figures], str]],
-) -> list[Claim]:
-    """Returns the same claims of each of several recipes, the paper's and ours.
-
-    Args:
-        experiment: The first part of the keys.
-        source: Where the paper says so.
-        recipes: The recipes; the column `recipe` of every row of a trial says which is its.
-        table: Key, statement with {} for the recipe, measure from the rows of one recipe, and
-            the name of the `Count` in it that has to be all.
-    """
-    return [
-        Claim(
-            f"{experiment}-{key}-{recipe}",
-            source,
-            statement.format(f"(recipe {recipe})"),
-            partial(_of_recipe, recipe=recipe, measure=measure),
-            every(counted),
-            of_paper=recipe == "paper",
-        )
-        for recipe in recipes
-        for key, statement, measure, counted in table
-    ]
-
-
-def _of_recipe(rows: Rows, recipe: str, measure: Callable[[Rows], Figures]) -> Figures:
-    return measure({name: own[own["recipe"] == recipe] for name, own in rows.items()})
-
-
-def every(*names: str) -> Callable[[Figures], Verdict]:
-    """Returns the rule that each `Count` of these names is all; in part: some of any."""
-
-    def rule(figures: Figures) -> Verdict:
-        counts = [count for name in names if isinstance(count := figures[name], Count)]
-        return Verdict.when(
-            all(0 < count.good == count.all for count in counts),
-            any(count.good > 0 for count in counts),
-        )
-
-    return rule
+    own = claim.key, claim.source, claim.statement
+    return Finding(*own, verdict, f"{told}.", claim.of_paper)
 
 
 def _text(figure: Figure) -> str:

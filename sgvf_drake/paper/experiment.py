@@ -6,7 +6,7 @@ reproduction are enough to draw the tables and judge the claims again.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 import json
 from pathlib import Path
@@ -16,9 +16,10 @@ from matplotlib.figure import Figure
 import pandas as pd
 
 from sgvf_drake.exceptions import ConfigurationError
+from sgvf_drake.experiments.intervals import interval_columns, over_seeds
 from sgvf_drake.experiments.results import plain, save_figure
-from sgvf_drake.experiments.workbench import Measure, Workbench
-from sgvf_drake.paper.claims import Claim, Finding, Rows, judge
+from sgvf_drake.experiments.workbench import Measure, Row, Workbench
+from sgvf_drake.paper.claims import Claim, Count, Finding, Rows, judge
 
 FOLDER = "folder"
 """The column of the files that a trial left; stored rows are without it."""
@@ -80,6 +81,53 @@ class Experiment(ABC):
     def findings(self, rows: Rows) -> list[Finding]:
         """Judges the claims by the rows."""
         return [judge(claim, rows) for claim in self.claims()]
+
+
+Range = tuple[float, float]
+
+Column = tuple[str, Range | Callable[[pd.Series], Any]]
+"""A measure, and what its seeds give: the mean with its interval, which is within a range, or
+what a function makes of them: a value, or several columns."""
+
+
+@dataclass(frozen=True, eq=False)
+class SeedsTable:
+    """A table of one row a group, with what its seeds say.
+
+    Attributes:
+        name: Name of the exhibit.
+        caption: Its caption.
+        columns: The columns beside those of the group, by their headers.
+    """
+
+    name: str
+    caption: str
+    columns: Mapping[str, Column]
+
+    def of(self, rows: pd.DataFrame, by: Sequence[str]) -> Exhibit:
+        """Returns the table of rows, one a seed of a group with the same values of `by`."""
+
+        def row_of(own: pd.DataFrame) -> Row:
+            row: Row = {}
+            for header, (measure, kind) in self.columns.items():
+                if isinstance(kind, tuple):
+                    row |= interval_columns(header, own[measure].astype(float), kind)
+                else:
+                    told = kind(own[measure])
+                    row |= told if isinstance(told, Mapping) else {header: told}
+            return row
+
+        return Exhibit(self.name, self.caption, over_seeds(rows, by, row_of))
+
+
+def first(values: pd.Series) -> Any:
+    """Returns the first of the values, where all are the same or one stands for all."""
+    return values.iloc[0]
+
+
+def count(outcomes: pd.Series) -> str:
+    """Returns how many outcomes are good, as "5 of 6"."""
+    return str(Count.of(outcomes))
 
 
 def check_names(what: str, names: Iterable[str], known: Iterable[str]) -> None:

@@ -16,7 +16,7 @@ import pandas as pd
 
 from sgvf_drake.paper.claims import Finding, Rows, Verdict
 from sgvf_drake.paper.experiment import load_rows
-from sgvf_drake.paper.report.tables import view_table
+from sgvf_drake.paper.report import view_table
 from sgvf_drake.paper.scenario import Scenario, load_scenario, scenario_names
 
 INTRODUCTION = """\

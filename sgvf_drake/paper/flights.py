@@ -10,13 +10,13 @@ import pandas as pd
 
 from sgvf_drake.exceptions import ConfigurationError, SgvfError
 from sgvf_drake.experiments.figures.runs import tour_figure
-from sgvf_drake.experiments.flight import FORCE_COLUMNS, TAKE_OFF_S
+from sgvf_drake.experiments.flight import FORCE_COLUMNS, TAKE_OFF_S, velocities_of
 from sgvf_drake.experiments.intervals import interval_columns, over_seeds
-from sgvf_drake.experiments.tour import TourResult, fly_tour
+from sgvf_drake.experiments.tour import TourResult, fly_tour, speed_figures
 from sgvf_drake.experiments.workbench import Row, Workbench
 from sgvf_drake.fields import load_guiding_field
 from sgvf_drake.metrics import REACH_DISTANCE
-from sgvf_drake.paper.claims import Claim, Count, Figures, Rows, Span, claims_of_recipes
+from sgvf_drake.paper.claims import Claim, Claims, Count, Judged, Rows, Span, Verdict
 from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
 from sgvf_drake.paper.training import trained
 from sgvf_drake.paths import make_shape, shape_path
@@ -115,17 +115,14 @@ def motion_of(log: pd.DataFrame) -> dict[str, float]:
         (10 ms); least and largest force of a propeller; force_step_n: the largest change of
         it in one sample.
     """
-    flown = log[log["time"] > TAKE_OFF_S]
-    times = flown["time"].to_numpy(dtype=np.float64)
-    velocity = flown[["vx", "vy", "vz"]].to_numpy(dtype=np.float64)
-    forces = flown[list(FORCE_COLUMNS)].to_numpy(dtype=np.float64)
+    flown = log[log["time"] > TAKE_OFF_S].astype(np.float64)
+    times, velocity = flown["time"].to_numpy(), velocities_of(flown)
+    forces = flown[list(FORCE_COLUMNS)].to_numpy()
     period = (times[-1] - times[0]) / (len(times) - 1)
     steps = np.linalg.norm(np.diff(velocity, axis=0), axis=1)
     jerk = np.diff(velocity[:, :2], 2, axis=0) / period**2
-    speed = np.linalg.norm(velocity, axis=1)
     return {
-        "speed_min_m_s": float(speed.min()),
-        "speed_max_m_s": float(speed.max()),
+        **speed_figures(flown),
         "acceleration_max_m_s2": float(steps.max() / period),
         "jerk_rms_m_s3": float(np.sqrt((jerk**2).sum(axis=1).mean())),
         "velocity_step_m_s": float(steps.max()),
@@ -184,7 +181,7 @@ class Flights(Experiment):
         return {recipe: seeds for recipe, seeds in recipes.items() if seeds}
 
     def claims(self) -> Sequence[Claim]:
-        return claims_of_recipes("flights", "Section V-B, Fig. 3", self._recipes(), CLAIMS)
+        return CLAIMS.of_recipes(self._recipes())
 
     def figures(self, rows: Rows) -> Sequence[Exhibit]:
         """Draws the first flight of each shape and recipe that has one."""
@@ -311,15 +308,20 @@ def outcome(flight: Mapping[Any, Any]) -> str:
     return "completed" if flight["rms_m"] <= flight["tolerance_m"] else "strayed"
 
 
-FOLLOWED, SMOOTH = "flights that followed all of their pieces", "smooth flights"
+SECTION = "Section V-B, Fig. 3"
+CLAIMS = Claims()
+"""What is claimed of each recipe."""
 
 
-def _measure_branches(rows: Rows) -> Figures:
-    """Counts the flights along all pieces; tells how near they were, and of the others."""
+@CLAIMS.add("flights-branches", SECTION)
+def _branches(rows: Rows) -> Judged:
+    """One field lets a quadrotor follow several branches in turn {}."""
+    # Counts the flights along all pieces; tells how near they were, and of the others.
     flights = rows["flights"]
     outcomes = [outcome(flight) for flight in flights.to_dict("records")]
     follows = np.array(outcomes) == "completed"
-    found: dict[str, Any] = {FOLLOWED: Count.of(follows)}
+    count = Count.of(follows)
+    found: dict[str, Any] = {"flights that followed all of their pieces": count}
     if follows.any():
         own = flights[follows]
         found["their largest cross-track RMS, mm"] = float(MM * own["rms_m"].max())
@@ -329,24 +331,28 @@ def _measure_branches(rows: Rows) -> Figures:
         for shape, seed, what in zip(flights["shape"], flights["seed"], outcomes, strict=True)
         if what != "completed"
     ]
-    return found | ({"the others": ", ".join(others)} if others else {})
+    if others:
+        found["the others"] = ", ".join(others)
+    return found, Verdict.every(count)
 
 
-def _measure_smooth(rows: Rows) -> Figures:
-    """Counts the flights whose velocity and forces stay within bounds, without jumps."""
+@CLAIMS.add("flights-smooth", SECTION)
+def _smooth(rows: Rows) -> Judged:
+    """Velocity and motor inputs remain smooth and bounded {}."""
+    # Counts the flights whose velocity and forces stay within bounds, without jumps.
     flights = rows["flights"]
     # All is NaN of a flight that lost control, which compares with nothing.
     figures = flights.reindex(columns=MOTION).astype(float)
     by_speed = figures.div(flights["speed"], axis=0)
     by_limit = figures.div(figures["limit_n"], axis=0)
-    smooth = (
+    smooth = Count.of(
         (by_speed["speed_max_m_s"] <= FASTEST)
         & (by_limit["force_min_n"] > 0)
         & (by_limit["force_max_n"] < 1)
         & (by_speed["velocity_step_m_s"] <= LARGEST_STEP)
         & (by_limit["force_step_n"] <= LARGEST_STEP)
     )
-    found: dict[str, Any] = {SMOOTH: Count.of(smooth)}
+    found: dict[str, Any] = {"smooth flights": smooth}
     if figures["limit_n"].notna().any():
         speed = by_speed["speed_min_m_s"].min(), by_speed["speed_max_m_s"].max()
         force = by_limit["force_min_n"].min(), by_limit["force_max_n"].max()
@@ -354,21 +360,4 @@ def _measure_smooth(rows: Rows) -> Figures:
         found["propeller forces of their limit"] = Span(*force, percent=True)
         found["velocity step in 10 ms, %"] = float(100 * by_speed["velocity_step_m_s"].max())
         found["force step in 10 ms, %"] = float(100 * by_limit["force_step_n"].max())
-    return found
-
-
-CLAIMS = (
-    (
-        "branches",
-        "One field lets a quadrotor follow several branches in turn {}.",
-        _measure_branches,
-        FOLLOWED,
-    ),
-    (
-        "smooth",
-        "Velocity and motor inputs remain smooth and bounded {}.",
-        _measure_smooth,
-        SMOOTH,
-    ),
-)
-"""What is claimed of each recipe; see `claims_of_recipes`."""
+    return found, Verdict.every(smooth)

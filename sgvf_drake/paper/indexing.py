@@ -13,7 +13,7 @@ import pandas as pd
 
 from sgvf_drake import plotting
 from sgvf_drake.clouds import PointCloud
-from sgvf_drake.experiments.intervals import SHARE, interval_columns, over_seeds
+from sgvf_drake.experiments.intervals import POSITIVE, SHARE
 from sgvf_drake.experiments.workbench import Row, Workbench
 from sgvf_drake.fields import (
     FloatArray,
@@ -31,8 +31,8 @@ from sgvf_drake.paper.baselines import (
     follow_case,
     measure_baseline,
 )
-from sgvf_drake.paper.claims import Claim, Count, Figures, Rows, Share, Span, Verdict, every
-from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
+from sgvf_drake.paper.claims import Claim, Count, Judged, Rows, Share, Span, Verdict
+from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, SeedsTable, run_trials
 from sgvf_drake.paper.methods import CASES, make_case
 from sgvf_drake.paper.training import trained
 from sgvf_drake.paper.ways import coverage
@@ -63,30 +63,32 @@ FAR, LONGER = SETTLE_DISTANCE, 1.5
 AGREEMENT = 1.5
 # Agents that succeed, and waypoints that they pass, where a path is followed; and in part.
 MOST, HALF = 0.95, 0.5
-# What is told of the claim that no order is needed, and asked for by its rule.
-NO_ORDER = "order matters no more than the seed"
-FOLLOWED = "shuffled waypoints are followed"
-
-FIGURE_CAPTION = (
-    "Top: curves through waypoints in the order in which they are given, on a smooth closed "
-    "path, the same shuffled, and three arms given one after the other. Below: agents from a "
-    "grid in the classical field of the Fourier curve through all waypoints, and in the field "
-    "learned from them; red ones fail."
-)
-CURVES_CAPTION = (
-    "Length of the interpolated curve over that of the true path, and its largest distance "
-    "from it; shuffled over several orders. Polynomials through many equally spaced waypoints "
-    "swing beyond all bounds in whatever order."
-)
-AGENTS_CAPTION = (
-    "Agents from a grid over the box, 200 waypoints; over the seeds. On the closed path an "
-    "agent succeeds when it laps it, on the arms when it stays near them and stops nowhere "
-    "but at a tip; coverage is the share of waypoints that those pass."
-)
-ORDER_CAPTION = (
-    "By how much fields differ that were trained on two orders of the same waypoints with the "
-    "same seed, beside those of two seeds on ordered waypoints (root mean square of the "
-    "difference of m, where |m| = 1). The exact score does not depend on the order at all."
+TABLES = (
+    SeedsTable(
+        "indexing_curves",
+        "Length of the interpolated curve over that of the true path, and its largest distance "
+        "from it; shuffled over several orders. Polynomials through many equally spaced "
+        "waypoints swing beyond all bounds in whatever order.",
+        {
+            "length over true": ("length_ratio", POSITIVE),
+            "farthest from path, U": ("farthest_u", POSITIVE),
+        },
+    ),
+    SeedsTable(
+        "indexing_agents",
+        "Agents from a grid over the box, 200 waypoints; over the seeds. On the closed path an "
+        "agent succeeds when it laps it, on the arms when it stays near them and stops nowhere "
+        "but at a tip; coverage is the share of waypoints that those pass.",
+        {"success": ("success", SHARE), "coverage": ("coverage", SHARE)},
+    ),
+    SeedsTable(
+        "indexing_order",
+        "By how much fields differ that were trained on two orders of the same waypoints with "
+        "the same seed, beside those of two seeds on ordered waypoints (root mean square of "
+        "the difference of m, where |m| = 1). The exact score does not depend on the order at "
+        "all.",
+        {name: (name, POSITIVE) for name in ("m, waypoints", "m, box", "exact score, box")},
+    ),
 )
 
 
@@ -215,30 +217,26 @@ class Indexing(Experiment):
                 "indexing-ordered",
                 SECTION,
                 "Orderly indexing preserves the shape of the waypoints.",
-                partial(_curves, case="ordered"),
-                every("curves with the shape of the path"),
+                partial(_curves, case="ordered", judged=SHAPED),
             ),
             Claim(
                 "indexing-shuffled",
                 SECTION,
                 "Shuffled waypoints break the interpolation.",
-                partial(_curves, case="shuffled"),
-                every("broken curves"),
+                partial(_curves, case="shuffled", judged=BROKEN),
             ),
             Claim(
                 "indexing-branching",
                 SECTION,
                 "Branching waypoints cannot be sequentially indexed: an order arm by arm, the "
                 "best there is, breaks the interpolation.",
-                partial(_curves, case="branching"),
-                every("broken curves"),
+                partial(_curves, case="branching", judged=BROKEN),
             ),
             Claim(
                 "indexing-free",
                 SECTION,
                 f"SGVF needs no order of the waypoints (recipe {self.recipe}).",
                 partial(_freedom, recipe=self.recipe),
-                every(NO_ORDER, FOLLOWED),
                 of_paper,
             ),
             Claim(
@@ -247,42 +245,20 @@ class Indexing(Experiment):
                 f"SGVF guides along branching waypoints (recipe {self.recipe}); a field "
                 "without memory has one direction at the fork.",
                 partial(_branches, recipe=self.recipe),
-                _both_shares,
                 of_paper,
             ),
         ]
 
     def tables(self, rows: Rows) -> list[Exhibit]:
         """Returns the tables of curves, of agents, and of the changes of fields."""
-        curves = over_seeds(
-            rows["curves"].replace({"curve": LABELS}),
-            ("case", "curve", "waypoints"),
-            lambda own: {
-                **interval_columns("length over true", own["length_ratio"]),
-                **interval_columns("farthest from path, U", own["farthest_u"]),
-            },
-        )
-        agents = over_seeds(
-            rows["agents"].assign(field=rows["agents"]["field"].map(_label)),
-            ("case", "field"),
-            lambda own: {
-                **interval_columns("success", own["success"], SHARE),
-                **interval_columns("coverage", own["coverage"], SHARE),
-            },
-        )
-        changes = over_seeds(
-            rows["changes"],
-            ("change",),
-            lambda own: {
-                column: value
-                for name in own.columns.drop("change")
-                for column, value in interval_columns(name, own[name]).items()
-            },
-        )
+        agents = rows["agents"].assign(field=rows["agents"]["field"].map(_label))
+        curves, followed, order = TABLES
         return [
-            Exhibit("indexing_curves", CURVES_CAPTION, curves),
-            Exhibit("indexing_agents", AGENTS_CAPTION, agents),
-            Exhibit("indexing_order", ORDER_CAPTION, changes),
+            curves.of(
+                rows["curves"].replace({"curve": LABELS}), ("case", "curve", "waypoints")
+            ),
+            followed.of(agents, ("case", "field")),
+            order.of(rows["changes"], ("change",)),
         ]
 
     def figures(self, rows: Rows) -> list[Exhibit]:
@@ -305,7 +281,13 @@ class Indexing(Experiment):
                 suffix = " field" if name in LABELS else ""
                 _frame(here, f"{case}, {_label(name)}{suffix}: {good} agents")
         axes[0].legend(loc="upper left", fontsize="small")
-        return [Exhibit("indexing", FIGURE_CAPTION, figure)]
+        caption = (
+            "Top: curves through waypoints in the order in which they are given, on a smooth "
+            "closed path, the same shuffled, and three arms given one after the other. Below: "
+            "agents from a grid in the classical field of the Fourier curve through all "
+            "waypoints, and in the field learned from them; red ones fail."
+        )
+        return [Exhibit("indexing", caption, figure)]
 
 
 def field_changes(
@@ -342,16 +324,20 @@ def _rms(vectors: FloatArray) -> float:
     return float(np.sqrt((vectors**2).sum(axis=1).mean()))
 
 
-def _curves(rows: Rows, case: str) -> Figures:
-    """Returns which curves have the shape of their path and which have lost it."""
+SHAPED, BROKEN = "curves with the shape of the path", "broken curves"
+
+
+def _curves(rows: Rows, case: str, judged: str) -> Judged:
+    """Returns which curves have the shape of their path and which have lost it.
+
+    One of these two counts is `judged`.
+    """
     curves = rows["curves"]
     own = curves[curves["case"] == case]
     far, ratio = own["farthest_u"], own["length_ratio"]
     figures: dict[str, Any] = {
-        "curves with the shape of the path": Count.of(
-            (far <= NEAR) & ((ratio - 1).abs() <= LENGTH_TOLERANCE)
-        ),
-        "broken curves": Count.of((far > FAR) & (ratio > LONGER)),
+        SHAPED: Count.of((far <= NEAR) & ((ratio - 1).abs() <= LENGTH_TOLERANCE)),
+        BROKEN: Count.of((far > FAR) & (ratio > LONGER)),
     }
     for (curve, waypoints), one in own.groupby(["curve", "waypoints"], sort=False):
         name = f"{LABELS[str(curve)]} through {waypoints}"
@@ -360,36 +346,34 @@ def _curves(rows: Rows, case: str) -> Figures:
     agents = rows["agents"]
     for followed, one in agents[agents["case"] == case].groupby("field", sort=False):
         figures[f"agents that succeed, {_label(str(followed))}"] = Share(one["success"].mean())
-    return figures
+    return figures, Verdict.every(figures[judged])
 
 
-def _freedom(rows: Rows, recipe: str) -> Figures:
+def _freedom(rows: Rows, recipe: str) -> Judged:
     changes = rows["changes"].groupby("change")["m, box"].mean()
     order, seed = changes["another order"], changes["another seed"]
     agents = rows["agents"]
     own = agents[(agents["case"] == "shuffled") & (agents["field"] == recipe)]
     success = own["success"].min()
+    no_order, followed = Count.of([order <= AGREEMENT * seed]), Count.of([success >= MOST])
     return {
-        NO_ORDER: Count.of([order <= AGREEMENT * seed]),
+        "order matters no more than the seed": no_order,
         "RMS change of m over the box by another order": float(order),
         "by another seed": float(seed),
-        FOLLOWED: Count.of([success >= MOST]),
+        "shuffled waypoints are followed": followed,
         "agents that succeed on them, least of the seeds": Share(success),
-    }
+    }, Verdict.every(no_order, followed)
 
 
-def _branches(rows: Rows, recipe: str) -> Figures:
+def _branches(rows: Rows, recipe: str) -> Judged:
     agents = rows["agents"]
     own = agents[(agents["case"] == "branching") & (agents["field"] == recipe)]
+    success, covered = Share(own["success"].mean()), Share(own["coverage"].mean())
+    least = min(success, covered)
     return {
-        "agents that follow the branches": Share(own["success"].mean()),
-        "waypoints that they pass": Share(own["coverage"].mean()),
-    }
-
-
-def _both_shares(figures: Figures) -> Verdict:
-    least = min(share for share in figures.values() if isinstance(share, Share))
-    return Verdict.when(least >= MOST, least >= HALF)
+        "agents that follow the branches": success,
+        "waypoints that they pass": covered,
+    }, Verdict.when(least >= MOST, least >= HALF)
 
 
 def _label(field: str) -> str:

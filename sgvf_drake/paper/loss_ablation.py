@@ -7,9 +7,9 @@ A claim holds where every part is found in every network, in part where any part
 any network.  A single seed finds nothing.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from typing import Any
 
 from sgvf_drake.experiments.intervals import POSITIVE, SHARE
 from sgvf_drake.paper.ablation import (
@@ -18,13 +18,12 @@ from sgvf_drake.paper.ablation import (
     FIELDS,
     FOLLOWED,
     Ablation,
-    AblationTrial,
     Effect,
-    SeedsTable,
+    MeasurePanel,
     effect_of,
 )
-from sgvf_drake.paper.ablation_figures import MeasurePanel
-from sgvf_drake.paper.claims import Claim, Count, Figures, Rows, every
+from sgvf_drake.paper.claims import Claim, Claims, Count, Judged, Rows, Verdict
+from sgvf_drake.paper.experiment import SeedsTable, count, first
 
 PANELS = (
     MeasurePanel("lengths.v_box_max", "longest $v$ in the box", log=True),
@@ -42,7 +41,7 @@ TABLES = (
         "apart, since either may fail with all losses; means with 95 % intervals over the "
         "seeds.",
         {
-            "followable seeds": ("following.followable", Count),
+            "followable seeds": ("following.followable", count),
             **FOLLOWED,
             "slowest |m| on the path": ("following.speed_min", POSITIVE),
         },
@@ -71,14 +70,14 @@ TABLES = (
         "which V falls around a tube along each ring, and what speaks against it near the "
         "path.",
         {
-            "holds": ("check.holds", Count),
-            "has a band": ("check.band", Count),
+            "holds": ("check.holds", count),
+            "has a band": ("check.band", count),
             "zeros of m near the path": ("check.zeros", POSITIVE),
             "smallest |m| there": ("check.slowest", POSITIVE),
             "V falls, part of the box": ("check.falls", SHARE),
             "eps = |cos(s, v)|, box": ("check.cosine", SHARE),
             "| |m| - 1 |, box": ("check.length_error", POSITIVE),
-            "first seed": ("check.reason", str),
+            "first seed": ("check.reason", first),
         },
     ),
 )
@@ -112,18 +111,11 @@ class LossAblation(Ablation):
     panels = PANELS
     seeds_tables = TABLES
 
-    def trials(self) -> Sequence[AblationTrial]:
+    def cells(self) -> Sequence[Mapping[str, Any]]:
+        variants = ("no-unit", "no-orthogonality", "no-direction")
+        own = {"recipe": "paper", "shape": self.shape, "patience": self.patience}
         return [
-            self.trial(
-                recipe="paper",
-                shape=self.shape,
-                seed=seed,
-                hidden=tuple(hidden),
-                variants=("no-unit", "no-orthogonality", "no-direction"),
-                patience=self.patience,
-            )
-            for seed in self.seeds
-            for hidden in self.networks
+            {**own, "hidden": tuple(hidden), "variants": variants} for hidden in self.networks
         ]
 
     def claims(self) -> Sequence[Claim]:
@@ -147,20 +139,25 @@ class Part:
     factor: bool = False
 
 
-LAPPED, FOUND = "every start laps, complete", "parts found"
+CLAIMS = Claims()
 
 
-def _measure_laps(rows: Rows) -> Figures:
-    """Counts the fields in which every start completes a lap: complete, and all variants."""
+@CLAIMS.add("all-losses", "Section V-C")
+def _laps(rows: Rows) -> Judged:
+    """With all three losses the guiding field is reliable; measured by more than the two agents
+    of the paper: all starts of a grid follow the rings all the way around.
+    """
+    # Counts the fields in which every start completes a lap: complete, and all variants.
     fields = rows[FIELDS]
     complete = fields.loc[fields["variant"] == COMPLETE, "following.followable"]
-    return {LAPPED: Count.of(complete)} | {
+    lapped = Count.of(complete)
+    return {"every start laps, complete": lapped} | {
         f"{network} {variant}": Count.of(own["following.followable"])
         for (network, variant), own in fields.groupby(["network", "variant"], sort=False)
-    }
+    }, Verdict.every(lapped)
 
 
-def _measure_parts(rows: Rows, variant: str, parts: Sequence[Part]) -> Figures:
+def _find_parts(rows: Rows, variant: str, *parts: Part) -> Judged:
     """Tells the effect of a removed loss on each part of a claim, in each network."""
     told, found = {}, []
     for network, fields in rows[FIELDS].groupby("network", sort=False):
@@ -169,98 +166,78 @@ def _measure_parts(rows: Rows, variant: str, parts: Sequence[Part]) -> Figures:
             found.append(part.shows(effect))
             verdict = "found" if found[-1] else "not found"
             told[f"{network} {part.name}"] = f"{effect}, {verdict}"
-    return {FOUND: Count.of(found), **told}
+    count = Count.of(found)
+    return {"parts found": count, **told}, Verdict.every(count)
 
 
-# The claim that the others stand on.
-_ALL_LOSSES = Claim(
-    "all-losses",
-    "Section V-C",
-    "With all three losses the guiding field is reliable; measured by more than the two "
-    "agents of the paper: all starts of a grid follow the rings all the way around.",
-    _measure_laps,
-    every(LAPPED),
-)
-# Key, panel of Fig. 4, statement, variant, and the parts of the claim.
-_OF_LOSSES = (
-    (
-        "unit-length",
-        "(a)",
-        "Without the unit length loss the tangent has uncontrolled magnitudes; that it "
-        "dominates near the path and diminishes away from it is disrupted.",
+@CLAIMS.add("unit-length", "Section V-C, Fig. 4 (a)")
+def _unit_length(rows: Rows) -> Judged:
+    """Without the unit length loss the tangent has uncontrolled magnitudes; that it dominates
+    near the path and diminishes away from it is disrupted.
+    """
+    # Magnitudes are uncontrolled where the longest v of the box is longer; the length of m is
+    # the loss that was removed, and says nothing.  That v dominates near the path and
+    # diminishes away from it is read in two ways: as |v| near over |v| away, which is above
+    # one in the complete recipe and falls; and as v being longer than s in less than half of
+    # what is away, and in more of it without the loss.
+    return _find_parts(
+        rows,
         "no-unit",
-        # Magnitudes are uncontrolled where the longest v of the box is longer; the length of
-        # m is the loss that was removed, and says nothing.  That v dominates near the path
-        # and diminishes away from it is read in two ways: as |v| near over |v| away, which is
-        # above one in the complete recipe and falls; and as v being longer than s in less
-        # than half of what is away, and in more of it without the loss.
-        (
-            Part("longest v in the box", "lengths.v_box_max", Effect.rises, factor=True),
-            Part(
-                "|v| near the path over |v| away",
-                "lengths.fading",
-                lambda effect: effect.complete[0] > 1 and effect.falls(),
-                factor=True,
-            ),
-            Part(
-                "share of what is away where v is longer than s",
-                "lengths.leads_away",
-                lambda effect: effect.complete[0] < 0.5 and effect.rises(),
-            ),
+        Part("longest v in the box", "lengths.v_box_max", Effect.rises, factor=True),
+        Part(
+            "|v| near the path over |v| away",
+            "lengths.fading",
+            lambda effect: effect.complete[0] > 1 and effect.falls(),
+            factor=True,
         ),
-    ),
-    (
-        "orthogonality",
-        "(b)",
-        "Without the orthogonality loss the tangent does not follow the path, and diverges "
-        "away from it.",
+        Part(
+            "share of what is away where v is longer than s",
+            "lengths.leads_away",
+            lambda effect: effect.complete[0] < 0.5 and effect.rises(),
+        ),
+    )
+
+
+@CLAIMS.add("orthogonality", "Section V-C, Fig. 4 (b)")
+def _orthogonality(rows: Rows) -> Judged:
+    """Without the orthogonality loss the tangent does not follow the path, and diverges away
+    from it.
+    """
+    # v does not follow the path where going along it leads farther off; it diverges where its
+    # mean component away from the path is above zero, and above that of the complete recipe;
+    # m does not follow where fewer agents complete a lap.
+    return _find_parts(
+        rows,
         "no-orthogonality",
-        # v does not follow the path where going along it leads farther off; it diverges where
-        # its mean component away from the path is above zero, and above that of the complete
-        # recipe; m does not follow where fewer agents complete a lap.
-        (
-            Part("U off the path after 3 U along v", "drift.drift_u", Effect.rises),
-            Part(
-                "mean part of v away from the path",
-                "drift.outward",
-                lambda effect: effect.removed[1] > 0 and effect.rises(),
-            ),
-            Part("share of agents that lap", "following.lap", Effect.falls),
+        Part("U off the path after 3 U along v", "drift.drift_u", Effect.rises),
+        Part(
+            "mean part of v away from the path",
+            "drift.outward",
+            lambda effect: effect.removed[1] > 0 and effect.rises(),
         ),
-    ),
-    (
-        "directional-consistency",
-        "(c)",
-        "Without the directional consistency loss the tangent has two conflicting directions, "
-        "with one line a source and another a sink.",
+        Part("share of agents that lap", "following.lap", Effect.falls),
+    )
+
+
+@CLAIMS.add("directional-consistency", "Section V-C, Fig. 4 (c)")
+def _directional_consistency(rows: Rows) -> Judged:
+    """Without the directional consistency loss the tangent has two conflicting directions, with
+    one line a source and another a sink.
+    """
+    # There are conflicting directions where more rings are not run through one way, and none
+    # is that way in the complete recipe; one line of each kind where the rings of every seed
+    # have one source on average, to a half.
+    return _find_parts(
+        rows,
         "no-direction",
-        # There are conflicting directions where more rings are not run through one way, and
-        # none is that way in the complete recipe; one line of each kind where the rings of
-        # every seed have one source on average, to a half.
-        (
-            Part(
-                "share of rings with two directions",
-                "tangent.conflicted",
-                lambda effect: effect.rises() and effect.complete[0] == 0,
-            ),
-            Part(
-                "sources of a ring",
-                "tangent.sources",
-                lambda effect: effect.rises() and all(abs(x - 1) <= 0.5 for x in effect.seeds),
-            ),
+        Part(
+            "share of rings with two directions",
+            "tangent.conflicted",
+            lambda effect: effect.rises() and effect.complete[0] == 0,
         ),
-    ),
-)
-CLAIMS = (
-    _ALL_LOSSES,
-    *(
-        Claim(
-            key,
-            f"Section V-C, Fig. 4 {panel}",
-            statement,
-            partial(_measure_parts, variant=variant, parts=parts),
-            every(FOUND),
-        )
-        for key, panel, statement, variant, parts in _OF_LOSSES
-    ),
-)
+        Part(
+            "sources of a ring",
+            "tangent.sources",
+            lambda effect: effect.rises() and all(abs(x - 1) <= 0.5 for x in effect.seeds),
+        ),
+    )

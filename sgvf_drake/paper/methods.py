@@ -5,6 +5,7 @@ Waypoints come in an order to the methods that need one; the cases say in which.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -30,8 +31,6 @@ NOISE = 0.05
 # U; shorter waves are taken for noise where a curve is smoothed.  Ten waypoints to a wave
 # leave about half of the noise, and cut a right-angled corner by 0.05 U.
 WAVELENGTH = 1.0
-
-
 # Demonstrations of one motion: how many, the waypoints of each, and the standard deviation of
 # the shift of each, U.
 PASSES, POINTS_OF_PASS, SHIFT = 5, 80, 0.1
@@ -89,12 +88,8 @@ class Method:
     takes_order: bool = False
 
 
-def _learned(recipe: str) -> Callable[[PointCloud, int], PathField]:
-    return lambda cloud, seed: trained(cloud, recipe, seed).field
-
-
-def _directed(recipe: str) -> Callable[[PointCloud, int], PathField]:
-    return lambda cloud, seed: trained(cloud, recipe, seed, anyway=False).field
+def _learned(recipe: str, **settings: Any) -> Callable[[PointCloud, int], PathField]:
+    return lambda cloud, seed: trained(cloud, recipe, seed, **settings).field
 
 
 def _sorted_curves(cloud: PointCloud) -> list[FourierCurve]:
@@ -142,8 +137,8 @@ METHODS = {
     ),
     "smoothed": Method("Fourier (sorted, smoothed)", lambda cloud, _: _smoothed(cloud)),
     "guided": Method("parametric (sorted, smoothed)", lambda cloud, _: _parametric(cloud)),
-    "directed": Method("directed SGVF (robust)", _directed("robust")),
-    "strands": Method("directed SGVF (exact mixture)", _directed("exact")),
+    "directed": Method("directed SGVF (robust)", _learned("robust", anyway=False)),
+    "strands": Method("directed SGVF (exact mixture)", _learned("exact", anyway=False)),
 }
 DIRECTED = ("directed", "strands")
 """Fields that know their heading, for paths that cross or branch."""

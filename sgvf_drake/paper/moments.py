@@ -8,6 +8,7 @@ tested is the score that stands for S.  Everything is in normalised units.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +34,9 @@ LOCAL_RADII = (0.5, 2.0)
 WIDE_RADIUS = 8.0
 # A direction along no axis and no symmetry of a shape.
 SLANT = np.array([np.cos(1.0), np.sin(1.0)])
-FORMS = ("constant", "radial", "quadratic")
+FORMS = {"constant": 0, "radial": 1, "quadratic": 2}
+"""The power of y, as a complex number, that a test field is a bump times of."""
+
 # A sample size needs so many independent samples of it for its root mean square.
 FEWEST_GROUPS = 8
 
@@ -64,22 +67,18 @@ class Probe:
         rest = np.where(within, inside, 1.0)
         bump = np.where(within, np.exp(1 - 1 / rest), 0.0)
         slope = (-2 * bump / rest**2)[:, None] * y / self.radius
-        q, dq = self._polynomial(y)
+        # The derivatives of a power of z = y1 + i y2 by y1 and y2 are q' and i q'.
+        z, power = y[:, 0] + 1j * y[:, 1], FORMS[self.form]
+        by_z = power * z ** max(power - 1, 0)
+        q = _as_vectors(z**power) if power else np.broadcast_to(SLANT, y.shape)
+        dq = _as_vectors(np.stack([by_z, 1j * by_z], axis=1))
         gradient = slope[:, :, None] * q[:, None, :] + bump[:, None, None] * dq / self.radius
         return bump[:, None] * q, gradient
 
-    def _polynomial(self, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Returns q (n, 2) and dq_j / dy_i (n, 2, 2), the first of them along i."""
-        match self.form:
-            case "constant":
-                return np.broadcast_to(SLANT, y.shape), np.zeros((len(y), 2, 2))
-            case "radial":
-                return y, np.broadcast_to(np.eye(2), (len(y), 2, 2))
-        first, second = y.T
-        q = np.column_stack([first**2 - second**2, 2 * first * second])
-        by_first = np.column_stack([2 * first, 2 * second])
-        by_second = np.column_stack([-2 * second, 2 * first])
-        return q, np.stack([by_first, by_second], axis=1)
+
+def _as_vectors(z: Any) -> FloatArray:
+    """Returns complex numbers (...) as vectors (..., 2)."""
+    return np.stack([z.real, z.imag], axis=-1)
 
 
 def make_probes(waypoints: FloatArray) -> list[Probe]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import cycle
 from pathlib import Path
 
@@ -12,11 +13,10 @@ import pandas as pd
 from sgvf_drake import plotting
 from sgvf_drake.experiments.follow import FollowResult, follow
 from sgvf_drake.experiments.intervals import (
+    POSITIVE,
     SHARE,
     fraction_columns,
     fraction_interval,
-    interval_columns,
-    over_seeds,
 )
 from sgvf_drake.experiments.quality.measures import following, measure_score
 from sgvf_drake.experiments.workbench import Row, Workbench
@@ -25,15 +25,16 @@ from sgvf_drake.learning.recipes import RECIPES
 from sgvf_drake.metrics import default_duration
 from sgvf_drake.paper.claims import (
     Claim,
+    Claims,
     Count,
-    Figures,
+    Judged,
     Mean,
     Rows,
     Share,
     Span,
-    claims_of_recipes,
+    Verdict,
 )
-from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
+from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, SeedsTable, run_trials
 from sgvf_drake.paper.training import trained
 from sgvf_drake.paths import ReferencePath, make_shape
 
@@ -55,11 +56,22 @@ LARGEST_CHANGE = 0.25
 # ... and has been stable when no part of the second half exceeds the end by this factor.
 STABLE = 1.5
 
-FIELDS_CAPTION = (
+FIELDS_TABLE = SeedsTable(
+    "overview_fields",
     "Agents from a grid over the box in every trained field, over the seeds. A field is "
     "followed where all starts lap, and on both pieces. RMS and largest distance from the "
     "path are over the last lap of those that settled; |m| is the speed on the path at a "
-    "commanded speed of one. The robust recipe may start again, the paper's does not."
+    "commanded speed of one. The robust recipe may start again, the paper's does not.",
+    {
+        "reach": ("reach", pd.Series.mean),
+        "lap": ("lap", SHARE),
+        "fields followed": ("followed", partial(fraction_columns, "fields followed")),
+        "RMS, U": ("rms_u", POSITIVE),
+        "largest, U": ("max_u", POSITIVE),
+        "least |m|": ("speed_min", POSITIVE),
+        "largest |m|": ("speed_max", POSITIVE),
+        "training, s CPU": ("train_cpu_s", POSITIVE),
+    },
 )
 LOSSES_CAPTION = (
     "The losses of the tangent network, each times its weight, mean over the seeds: in the "
@@ -182,7 +194,7 @@ class Overview(Experiment):
         return {"fields": run_trials(bench, measure_overview, trials, "overview")}
 
     def claims(self) -> Sequence[Claim]:
-        return claims_of_recipes("overview", "Section V-A, Fig. 2", self.recipes, CLAIMS)
+        return CLAIMS.of_recipes(self.recipes)
 
     def figures(self, rows: Rows) -> Sequence[Exhibit]:
         fields = rows["fields"]
@@ -199,20 +211,6 @@ class Overview(Experiment):
         ]
 
     def tables(self, rows: Rows) -> Sequence[Exhibit]:
-        fields = over_seeds(
-            rows["fields"],
-            ("shape", "recipe"),
-            lambda own: {
-                "reach": own["reach"].mean(),
-                **interval_columns("lap", own["lap"], SHARE),
-                **fraction_columns("fields followed", followed(own).tolist()),
-                **interval_columns("RMS, U", own["rms_u"]),
-                **interval_columns("largest, U", own["max_u"]),
-                **interval_columns("least |m|", own["speed_min"]),
-                **interval_columns("largest |m|", own["speed_max"]),
-                **interval_columns("training, s CPU", own["train_cpu_s"]),
-            },
-        )
         losses = pd.DataFrame(
             {
                 **{"shape": field["shape"], "recipe": field["recipe"], "loss": term},
@@ -224,8 +222,9 @@ class Overview(Experiment):
             for term, loss in field["losses"].items()
         )
         means = losses.groupby(["shape", "recipe", "loss"], sort=False).mean().reset_index()
+        fields = rows["fields"].assign(followed=followed(rows["fields"]))
         return [
-            Exhibit("overview_fields", FIELDS_CAPTION, fields),
+            FIELDS_TABLE.of(fields, ("shape", "recipe")),
             Exhibit("overview_losses", LOSSES_CAPTION, means),
         ]
 
@@ -247,9 +246,8 @@ def overview_figure(folders: Mapping[str, Path]) -> Figure:
             (tangent, TangentField(field), "tangent v"),
             (plane, field, "two agents in m = s + v"),
         ):
-            plotting.plot_field(each, part, field.cloud.box)
-            plotting.plot_waypoints(each, field.cloud.points)
-            plotting.plane_axes(each, plotting.UNIT, f"{recipe}: {title}")
+            box, points = field.cloud.box, field.cloud.points
+            plotting.plot_plane(each, part, box, points, f"{recipe}: {title}")
         plotting.plot_losses(losses, history[history["stage"] == "tangent"])
         losses.set_title(f"{recipe}: losses of v")
         agents = np.load(folder / AGENTS).transpose(1, 0, 2)
@@ -260,57 +258,50 @@ def overview_figure(folders: Mapping[str, Path]) -> Figure:
     return figure
 
 
-SHOWN, RESTED, TRACKED = "fields that show it", "trainings at rest", "fields followed"
+SECTION = "Section V-A, Fig. 2"
+CLAIMS = Claims()
+"""What is claimed of each recipe."""
 
 
-def _measure_score(rows: Rows) -> Figures:
-    """Compares the scores with the exact one, near the path."""
+@CLAIMS.add("overview-score", SECTION)
+def _score(rows: Rows) -> Judged:
+    """The learned score shows the density of the waypoints {}."""
+    # Compares the scores with the exact one, near the path.
     fields = rows["fields"]
     mean, low = fields["score_cosine"], fields["score_cosine_p5"]
+    shown = Count.of((mean >= MEAN_COSINE) & (low >= LOW_COSINE))
     return {
-        SHOWN: Count.of((mean >= MEAN_COSINE) & (low >= LOW_COSINE)),
+        "fields that show it": shown,
         "mean cosine with the exact score": Span.of(mean),
         "5th percentile": Span.of(low),
-    }
+    }, Verdict.every(shown)
 
 
-def _measure_losses(rows: Rows) -> Figures:
-    """Counts the trainings whose total tangent loss fell, came to rest, and was stable."""
+@CLAIMS.add("overview-losses", SECTION)
+def _losses(rows: Rows) -> Judged:
+    """The tangent losses converge and are stable {}."""
+    # Counts the trainings whose total tangent loss fell, came to rest, and was stable.
     totals = [losses["total"] for losses in rows["fields"]["losses"]]
+    rested = Count.of(map(converged, totals))
     return {
-        RESTED: Count.of(map(converged, totals)),
+        "trainings at rest": rested,
         "total in the first tenth": Span.of(total["begin"] for total in totals),
         "in the last tenth": Span.of(total["end"] for total in totals),
         "largest change to the last tenth": Share(max(abs(one["change"]) for one in totals)),
-    }
+    }, Verdict.every(rested)
 
 
-def _measure_tracking(rows: Rows) -> Figures:
-    """Counts the fields in which all starts lap, on all pieces."""
+@CLAIMS.add("overview-tracking", SECTION)
+def _tracking(rows: Rows) -> Judged:
+    """Agents track both loops, also disjoint ones {}; measured by more than the two agents of
+    the paper: all starts of a grid.
+    """
+    # Counts the fields in which all starts lap, on all pieces.
     fields = rows["fields"]
     count = Count.of(followed(fields))
     share = fraction_interval(count.good, count.all)
     return {
-        TRACKED: count,
+        "fields followed": count,
         "share of the fields": Mean(*share),
         "starts that lap in the worst field": Share(fields["lap"].min()),
-    }
-
-
-CLAIMS = (
-    (
-        "score",
-        "The learned score shows the density of the waypoints {}.",
-        _measure_score,
-        SHOWN,
-    ),
-    ("losses", "The tangent losses converge and are stable {}.", _measure_losses, RESTED),
-    (
-        "tracking",
-        "Agents track both loops, also disjoint ones {}; measured by more than the two agents "
-        "of the paper: all starts of a grid.",
-        _measure_tracking,
-        TRACKED,
-    ),
-)
-"""What is claimed of each recipe; see `claims_of_recipes`."""
+    }, Verdict.every(count)

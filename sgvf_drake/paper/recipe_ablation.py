@@ -7,9 +7,10 @@ its place where something that agents do, or the sublevel checks, gets worse on 
 shape; in part where only the accuracy of score and tangent does; not where nothing does.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from typing import Any
 
 import pandas as pd
 
@@ -19,15 +20,14 @@ from sgvf_drake.paper.ablation import (
     FOLLOWED,
     SPEED_ERROR,
     Ablation,
-    AblationTrial,
-    SeedsTable,
+    MeasurePanel,
     effect_of,
 )
-from sgvf_drake.paper.ablation_figures import MeasurePanel
-from sgvf_drake.paper.claims import Claim, Count, Figures, Rows, Verdict
-from sgvf_drake.paper.experiment import check_names
+from sgvf_drake.paper.claims import Claim, Judged, Rows, Verdict
+from sgvf_drake.paper.experiment import SeedsTable, check_names, count
 
 COSINE = (-1.0, 1.0)
+NOTHING = "nothing measurable"
 PANELS = (
     MeasurePanel("following.lap", "share of starts that lap", SHARE),
     MeasurePanel("following.rms_u", "RMS error [U]", log=True),
@@ -42,7 +42,7 @@ TABLES = (
         "How the fields are followed from a grid of starts, without restarts; means with 95 % "
         "intervals over the seeds.",
         {
-            "followable seeds": ("following.followable", Count),
+            "followable seeds": ("following.followable", count),
             **FOLLOWED,
             "max, U": ("following.max_u", POSITIVE),
             "| |m| - 1 | on the path, max": (SPEED_ERROR, POSITIVE),
@@ -53,8 +53,8 @@ TABLES = (
         "The same fields from within: the learned score against the exact one near the path, "
         "orthogonality, and the sampled Lyapunov checks.",
         {
-            "checks hold": ("check.holds", Count),
-            "self-check passes": ("passed", Count),
+            "checks hold": ("check.holds", count),
+            "self-check passes": ("passed", count),
             "cos of the score": ("score.score_cosine", COSINE),
             "its 5th percentile": ("score.score_cosine_p5", COSINE),
             "its bias, U": ("score.score_bias_u", POSITIVE),
@@ -102,25 +102,16 @@ class RecipeAblation(Ablation):
     panels = PANELS
     seeds_tables = TABLES
 
-    def trials(self) -> Sequence[AblationTrial]:
-        """Returns the trials.
+    def cells(self) -> Sequence[Mapping[str, Any]]:
+        """Returns a trial a shape.
 
         Raises:
             ConfigurationError: If there is no such variant.
         """
         check_names("variant", self.variants, STATEMENTS)
-        return [
-            self.trial(
-                recipe="robust",
-                shape=shape,
-                seed=seed,
-                hidden=None,
-                variants=tuple(self.variants),
-                patience=1.0,
-            )
-            for seed in self.seeds
-            for shape in self.shapes
-        ]
+        own = {"recipe": "robust", "hidden": None, "patience": 1.0}
+        variants = tuple(self.variants)
+        return [{**own, "shape": shape, "variants": variants} for shape in self.shapes]
 
     def claims(self) -> Sequence[Claim]:
         return [
@@ -128,8 +119,7 @@ class RecipeAblation(Ablation):
                 f"robust-{variant}",
                 "robust recipe",
                 statement,
-                partial(_measure_changes, variant=variant),
-                _is_worth_it,
+                partial(_is_worth_it, variant=variant),
                 of_paper=False,
             )
             for variant, statement in STATEMENTS.items()
@@ -189,26 +179,17 @@ def changes_of(fields: pd.DataFrame, variant: str) -> list[tuple[Measure, bool, 
     return found
 
 
-WORSE, BETTER, NOTHING = "worse without it", "better without it", "nothing measurable"
-GAIN, LOSS = "worse of agents and checks", "better of agents and checks"
-
-
-def _measure_changes(rows: Rows, variant: str) -> Figures:
+def _is_worth_it(rows: Rows, variant: str) -> Judged:
     """Tells what gets worse and what gets better without a part, and how much of it counts."""
     changes = changes_of(rows[FIELDS], variant)
     worse, better = (
         [(measure, told) for measure, is_worse, told in changes if is_worse == side]
         for side in (True, False)
     )
+    gain, loss = (sum(measure.counts for measure, _ in side) for side in (worse, better))
     return {
-        WORSE: ", ".join(told for _, told in worse) or NOTHING,
-        BETTER: ", ".join(told for _, told in better) or NOTHING,
-        GAIN: sum(measure.counts for measure, _ in worse),
-        LOSS: sum(measure.counts for measure, _ in better),
-    }
-
-
-def _is_worth_it(figures: Figures) -> Verdict:
-    return Verdict.when(
-        bool(figures[GAIN]) and not figures[LOSS], partly=figures[WORSE] != NOTHING
-    )
+        "worse without it": ", ".join(told for _, told in worse) or NOTHING,
+        "better without it": ", ".join(told for _, told in better) or NOTHING,
+        "worse of agents and checks": gain,
+        "better of agents and checks": loss,
+    }, Verdict.when(gain > 0 and not loss, partly=bool(worse))

@@ -19,14 +19,16 @@ from sgvf_drake.experiments.workbench import Workbench
 from sgvf_drake.paper.claims import Verdict
 from sgvf_drake.paper.experiment import check_names
 from sgvf_drake.paper.report import build_page
-from sgvf_drake.paper.running import (
+from sgvf_drake.paper.scenario import (
     SCENARIO_FILE,
     TRIALS,
+    Scenario,
     is_result_of,
+    load_scenario,
     run_scenario,
+    scenario_names,
     stored_summary,
 )
-from sgvf_drake.paper.scenario import Scenario, load_scenario, scenario_names
 from sgvf_drake.progress import Progress, no_progress
 
 REPORT = "report.html"

@@ -21,7 +21,7 @@ from sgvf_drake.experiments.clouds import make_cloud
 from sgvf_drake.experiments.intervals import interval_columns, over_seeds
 from sgvf_drake.experiments.workbench import Row, Workbench
 from sgvf_drake.fields import FloatArray, GaussianMixture, ScoreNetwork
-from sgvf_drake.paper.claims import Claim, Figures, Rows, Share, Span, Verdict
+from sgvf_drake.paper.claims import Claim, Claims, Judged, Rows, Share, Span, Verdict
 from sgvf_drake.paper.experiment import Exhibit, Experiment, run_trials
 from sgvf_drake.paper.moments import CHUNK, SQUASHED, collect, make_probes
 from sgvf_drake.paper.training import trained
@@ -127,7 +127,6 @@ class SteinIdentity(Experiment):
                 SECTION,
                 f"The learned score satisfies Stein's identity (recipe {recipe}).",
                 partial(_learned, recipe=recipe),
-                lambda found: Verdict.when(_keeps(found), found[SHARE_LEFT] <= PART),
                 of_paper=recipe == "paper",
             )
             for recipe in RECIPE_NAMES
@@ -254,6 +253,7 @@ def _even(found: pd.DataFrame) -> pd.DataFrame:
 
 # Claims.
 
+CLAIMS = Claims()
 Z = "largest entry, standard errors"
 SHARE_LEFT = "residual, of what the identity says"
 
@@ -271,107 +271,82 @@ def _of(rows: Rows, score: str) -> pd.DataFrame:
     return found[found["score"] == score]
 
 
-def _limit(found: pd.DataFrame) -> float:
-    return z_limit(ENTRIES * sum(residuals.size for residuals in found["residuals"]))
+def _entries(found: pd.DataFrame) -> int:
+    return ENTRIES * sum(residuals.size for residuals in found["residuals"])
 
 
-def _identity(rows: Rows) -> Figures:
+@CLAIMS.add("stein-identity", SECTION)
+def _identity(rows: Rows) -> Judged:
+    """E[S f^T] = -E[grad f] for smooth f of compact support."""
     exact = _of(rows, EXACT)
+    entries, z, slopes = _entries(exact), float(exact["z"].max()), Span.of(exact["slope"])
+    limit = z_limit(entries)
+    falls = all(abs(slope - SLOPE) <= SLOPE_TOLERANCE for slope in (slopes.low, slopes.high))
     return {
-        "entries": ENTRIES * sum(residuals.size for residuals in exact["residuals"]),
-        Z: float(exact["z"].max()),
-        "limit": _limit(exact),
-        "power of the draws": Span.of(exact["slope"]),
-    }
+        "entries": entries,
+        Z: z,
+        "limit": limit,
+        "power of the draws": slopes,
+    }, Verdict.when(z <= limit and falls)
 
 
-def _log_density(rows: Rows) -> Figures:
+@CLAIMS.add("stein-log-density", SECTION)
+def _log_density(rows: Rows) -> Judged:
+    """E[S log p] = 0, and E[S] = 0."""
     exact = _of(rows, EXACT)
+    z = float(exact[["log_z", "mean_z"]].max().max())
+    # Two coordinates each of E[S log p] and E[S].
+    limit = z_limit(4 * sum(map(len, exact["log"])))
     return {
-        Z: float(exact[["log_z", "mean_z"]].max().max()),
-        # Two coordinates each of E[S log p] and E[S].
-        "limit": z_limit(4 * sum(map(len, exact["log"]))),
+        Z: z,
+        "limit": limit,
         "E[S log p] at most, %": float(100 * exact["log"].map(max).max()),
-    }
+    }, Verdict.when(z <= limit)
 
 
-def _learned(rows: Rows, recipe: str) -> Figures:
+def _learned(rows: Rows, recipe: str) -> Judged:
     learned = _of(rows, RECIPE_NAMES[recipe])
     (one,) = learned.to_dict("records")
+    limit = z_limit(_entries(learned))
     return {
         SHARE_LEFT: Share(one["share"]),
         Z: float(one["z"]),
-        "limit": _limit(learned),
+        "limit": limit,
         "E[S], %": float(100 * one["mean"].mean()),
         "error of the score": Share(one["score_error"]),
-    }
+    }, Verdict.when(one["z"] <= limit, one["share"] <= PART)
 
 
-def _squashed(rows: Rows) -> Figures:
+@CLAIMS.add("stein-squashed-identity", NORMALISED)
+def _squashed(rows: Rows) -> Judged:
+    """The normalised score s = tanh(k_s |S|) S / |S| does not satisfy the identity."""
     squashed, rescaled = _of(rows, SQUASHED_NAME), _of(rows, RESCALED_NAME)
+    z, limit = float(squashed["z"].min()), z_limit(_entries(squashed))
     figures: dict[str, Any] = {
         SHARE_LEFT: Share(squashed["share"].iloc[0]),
-        Z: float(squashed["z"].min()),
-        "limit": _limit(squashed),
+        Z: z,
+        "limit": limit,
         "best factor": float(rescaled["scale"].iloc[0]),
-        "limit after it": _limit(rescaled),
+        "limit after it": z_limit(_entries(rescaled)),
     }
     for one in rescaled.to_dict("records"):
         figures[f"{Z}, after it on {one['density']}"] = float(one["z"])
         figures[f"residual, %, after it on {one['density']}"] = float(100 * one["share"])
-    return figures
+    return figures, Verdict.when(z > limit)
 
 
-def _squashed_mean(rows: Rows) -> Figures:
+@CLAIMS.add("stein-squashed-mean", NORMALISED)
+def _squashed_mean(rows: Rows) -> Judged:
+    """The normalised score does not have mean zero."""
     squashed = _of(rows, SQUASHED_NAME)
     strongest = squashed.nlargest(1, "mean_z").iloc[0]
+    z, limit = float(strongest["mean_z"]), z_limit(2 * sum(map(len, squashed["mean"])))
     return {
         "density": strongest["density"],
-        Z: float(strongest["mean_z"]),
-        "limit": z_limit(2 * sum(map(len, squashed["mean"]))),
+        Z: z,
+        "limit": limit,
         "mean, %": float(100 * strongest["mean"].mean()),
-    }
-
-
-def _keeps(found: Mapping[str, Any]) -> bool:
-    return bool(found[Z] <= found["limit"])
-
-
-def _falls(found: Mapping[str, Any]) -> bool:
-    slopes = found["power of the draws"]
-    return all(abs(slope - SLOPE) <= SLOPE_TOLERANCE for slope in (slopes.low, slopes.high))
-
-
-CLAIMS = (
-    Claim(
-        "stein-identity",
-        SECTION,
-        "E[S f^T] = -E[grad f] for smooth f of compact support.",
-        _identity,
-        lambda found: Verdict.when(_keeps(found) and _falls(found)),
-    ),
-    Claim(
-        "stein-log-density",
-        SECTION,
-        "E[S log p] = 0, and E[S] = 0.",
-        _log_density,
-        lambda found: Verdict.when(_keeps(found)),
-    ),
-    Claim(
-        "stein-squashed-identity",
-        NORMALISED,
-        "The normalised score s = tanh(k_s |S|) S / |S| does not satisfy the identity.",
-        _squashed,
-        lambda found: Verdict.when(not _keeps(found)),
-    ),
-    Claim(
-        "stein-squashed-mean",
-        NORMALISED,
-        "The normalised score does not have mean zero.",
-        _squashed_mean,
-        lambda found: Verdict.when(not _keeps(found)),
-    ),
-)
+    }, Verdict.when(z > limit)
 
 
 # The figure.

@@ -21,13 +21,13 @@ from sgvf_drake.experiments.figures.singularities import (
     plot_density_surface,
     plot_zeros,
 )
-from sgvf_drake.experiments.intervals import interval_columns, over_seeds
+from sgvf_drake.experiments.intervals import POSITIVE
 from sgvf_drake.experiments.singularities import singularity_summary, zero_rows
 from sgvf_drake.experiments.workbench import Row, Workbench
 from sgvf_drake.fields import GuidingField, ScoreField, load_guiding_field
 from sgvf_drake.lyapunov import NEAR_PATH, Singularities, find_singularities, measure_vanishing
-from sgvf_drake.paper.claims import Claim, Count, Figures, Rows, Verdict, every
-from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, run_trials
+from sgvf_drake.paper.claims import Claim, Claims, Count, Judged, Rows, Verdict
+from sgvf_drake.paper.experiment import FOLDER, Exhibit, Experiment, SeedsTable, run_trials
 from sgvf_drake.paper.parametric import ParametricTrial, measure_parametric, plot_helices
 from sgvf_drake.paper.training import trained
 from sgvf_drake.paths import ReferencePath, make_shape
@@ -44,14 +44,6 @@ SECTION = "Section VI-A, Fig. 5"
 SEARCH = 1e-6
 # A comparison within one field holds by chance this often.
 ERROR = 0.05
-# What is told of fields on paths whose curvature varies.
-HIGH_CURVATURE = "fields whose zeros on the path keep to high curvature"
-# The comparisons of a field, and what they are called in the table.
-COMPARISONS = {
-    "low_density": "lower density than in the box",
-    "low_density_off_path": "the same off the path",
-    "high_curvature": "higher curvature than along the path",
-}
 # The sign of an index, its colour, its marker, and what it is.
 INDICES = (
     (1, plotting.BLUE, "o", "index 1: source, sink or focus"),
@@ -75,17 +67,6 @@ PLACES_CAPTION = (
     "which for places drawn evenly would be the diagonal; zeros that keep to low density "
     "would be above it. Right: |m| at the zeros of the score over the distance from the path: "
     "it is one on the path and midway between two strands, and small where a zero of m is near."
-)
-COUNTS_CAPTION = (
-    "Zeros of the learned score in each field, means over the seeds: on the path (within three "
-    "noise levels) their indices cancel, off it they add up to one. A region is a connected "
-    "part of the box off the path; in each the indices add up to its Euler characteristic. "
-    "Forced: the fewest zeros off the path that this allows."
-)
-WHERE_CAPTION = (
-    "The chance that a zero of the score has a lower density, or a higher curvature of the "
-    "path, than a place drawn evenly has; 0.5 where zeros do not care. In brackets the fields "
-    "in which it is above 0.5 and not by accident (p < 0.05)."
 )
 PARAMETRIC_CAPTION = (
     "The field in one more dimension around each piece: the least |chi| on a grid of states, "
@@ -145,6 +126,9 @@ class ScoreVanishing(Experiment):
 
     def tables(self, rows: Rows) -> Sequence[Exhibit]:
         fields, by = fields_of(rows).rename(columns={"recipe": "score"}), ("shape", "score")
+        # Only the robust recipe has a tangent here, and so a path that m follows.
+        least_m = fields.pop("guiding_min_at_score_zeros_on_path")
+        fields["least_m"] = least_m.where(fields["score"] == "robust")
         zeros = _robust(zeros_of(rows, "guiding"))["shape"]
         pieces = [
             {
@@ -160,8 +144,7 @@ class ScoreVanishing(Experiment):
             for number, piece in enumerate(trial["pieces"], start=1)
         ]
         return [
-            Exhibit("vanishing_counts", COUNTS_CAPTION, over_seeds(fields, by, _counts)),
-            Exhibit("vanishing_places", WHERE_CAPTION, over_seeds(fields, by, _places)),
+            *(table.of(fields, by) for table in TABLES),
             Exhibit("singularity_free", PARAMETRIC_CAPTION, pd.DataFrame(pieces)),
         ]
 
@@ -264,20 +247,14 @@ def zeros_of(rows: Rows, field: str) -> pd.DataFrame:
         Shape, recipe and seed of the field, and what `zero_rows` says: x and y, index, kind,
         and the rest; the distance from the path in U.
     """
+    trials: Any = rows[FIELDS].to_dict("records")
+    zeros = pd.json_normalize(trials, "zeros", ["shape", "recipe", "seed", "unit"])
+    zeros = zeros[zeros["field"] == field].reset_index(drop=True)
+    zeros[["x", "y"]] = np.array(zeros["point"].tolist()).reshape(-1, 2)
+    zeros["path_distance"] /= zeros["unit"]
     names = ["index", "kind", "path_distance", "density_percentile", "guiding_norm", "on_path"]
-    zeros = [
-        {
-            **{name: trial[name] for name in ("shape", "recipe", "seed")},
-            **dict(zip("xy", zero["point"], strict=True)),
-            **{name: zero[name] for name in names},
-            "path_distance": zero["path_distance"] / trial["unit"],
-        }
-        for trial in rows[FIELDS].to_dict("records")
-        for zero in trial["zeros"]
-        if zero["field"] == field
-    ]
-    table = pd.DataFrame(zeros, columns=["shape", "recipe", "seed", "x", "y", *names])
-    return table.astype({"on_path": bool})
+    numbers = {"seed": int, "index": int, "path_distance": float, "on_path": bool}
+    return zeros[["shape", "recipe", "seed", "x", "y", *names]].astype(numbers)
 
 
 def fields_of(rows: Rows) -> pd.DataFrame:
@@ -287,49 +264,29 @@ def fields_of(rows: Rows) -> pd.DataFrame:
     return fields.drop(columns="vanishing").join(vanishing)
 
 
-def regions_of(fields: pd.DataFrame) -> pd.DataFrame:
-    """Returns one row a region of some fields; see `region_indices`."""
-    regions = [region for own in fields["regions"] for region in own]
-    return pd.DataFrame(regions, columns=["euler", "index_sum", "zeros"])
+def regions_of(regions: pd.Series) -> pd.DataFrame:
+    """Returns one row a region, from the regions of each field; see `region_indices`."""
+    found = [region for own in regions for region in own]
+    return pd.DataFrame(found, columns=["euler", "index_sum", "zeros"])
+
+
+def forced(regions: pd.Series) -> int:
+    """Returns the fewest zeros off the path that topology allows, from `regions_of`."""
+    return int(regions_of(regions)["euler"].abs().sum())
+
+
+def as_topology(regions: pd.Series) -> Count:
+    """Returns in how many regions the indices add up to the Euler characteristic."""
+    found = regions_of(regions)
+    return Count.of(found["index_sum"] == found["euler"])
 
 
 def _robust(table: pd.DataFrame) -> pd.DataFrame:
     return table[table["recipe"] == "robust"]
 
 
-def _counts(fields: pd.DataFrame) -> Row:
-    """Returns the numbers of zeros of the score of a shape and recipe, and their indices."""
-    return {
-        **interval_columns("zeros on the path", fields["zeros_on_path"]),
-        **interval_columns("zeros off it", fields["zeros_off_path"]),
-        "forced": regions_of(fields.iloc[:1])["euler"].abs().sum(),
-        "indices on the path": _distinct(fields["index_sum_on_path"]),
-        "indices off it": _distinct(fields["index_sum_off_path"]),
-        "on the border": _distinct(fields["score_winding_number"]),
-        "regions as topology has them": str(_as_topology(fields)),
-    }
-
-
 def _distinct(numbers: Iterable[int]) -> str:
     return ", ".join(map(str, sorted(set(numbers))))
-
-
-def _as_topology(fields: pd.DataFrame) -> Count:
-    """Returns in how many regions the indices add up to the Euler characteristic."""
-    regions = regions_of(fields)
-    return Count.of(regions["index_sum"] == regions["euler"])
-
-
-def _places(fields: pd.DataFrame) -> Row:
-    """Returns whether the zeros of a shape and recipe keep to low density, or to bends."""
-    # Only the robust recipe has a tangent here, and so a path that m follows.
-    followed = fields["score"].iloc[0] == "robust"
-    least = fields["guiding_min_at_score_zeros_on_path"].min() if followed else None
-    return {
-        **{label: _chance(fields[name]) for name, label in COMPARISONS.items()},
-        "least |m| on the path": least,
-        "correlation of |S| and log p": fields["density_correlation"].mean(),
-    }
 
 
 def _chance(comparisons: pd.Series) -> str | None:
@@ -345,7 +302,45 @@ def _holding(comparisons: pd.Series) -> Count:
     return Count.of(comparison["holds"] for comparison in comparisons.dropna())
 
 
+TABLES = (
+    SeedsTable(
+        "vanishing_counts",
+        "Zeros of the learned score in each field, means over the seeds: on the path (within "
+        "three noise levels) their indices cancel, off it they add up to one. A region is a "
+        "connected part of the box off the path; in each the indices add up to its Euler "
+        "characteristic. Forced: the fewest zeros off the path that this allows.",
+        {
+            "zeros on the path": ("zeros_on_path", POSITIVE),
+            "zeros off it": ("zeros_off_path", POSITIVE),
+            "forced": ("regions", lambda own: forced(own.iloc[:1])),
+            "indices on the path": ("index_sum_on_path", _distinct),
+            "indices off it": ("index_sum_off_path", _distinct),
+            "on the border": ("score_winding_number", _distinct),
+            "regions as topology has them": (
+                "regions",
+                lambda own: str(as_topology(own)),
+            ),
+        },
+    ),
+    SeedsTable(
+        "vanishing_places",
+        "The chance that a zero of the score has a lower density, or a higher curvature of "
+        "the path, than a place drawn evenly has; 0.5 where zeros do not care. In brackets "
+        "the fields in which it is above 0.5 and not by accident (p < 0.05).",
+        {
+            "lower density than in the box": ("low_density", _chance),
+            "the same off the path": ("low_density_off_path", _chance),
+            "higher curvature than along the path": ("high_curvature", _chance),
+            "least |m| on the path": ("least_m", pd.Series.min),
+            "correlation of |S| and log p": ("density_correlation", pd.Series.mean),
+        },
+    ),
+)
+
+
 # Claims.
+
+CLAIMS = Claims()
 
 
 def _more_than_chance(count: Count) -> Verdict:
@@ -356,137 +351,90 @@ def _more_than_chance(count: Count) -> Verdict:
     return Verdict.when(count.good == count.all, test.pvalue < ERROR)
 
 
-def _indices(rows: Rows) -> Figures:
-    fields = rows[FIELDS].to_dict("records")
+@CLAIMS.add("vanishing-indices", SECTION)
+def _indices(rows: Rows) -> Judged:
+    """The zeros of the learned score obey the theorem of Poincare and Hopf: the sum of their
+    indices is fixed by topology, as the Euler characteristic.
+    """
+    fields = Count.of(
+        row["score_index_sum"] == row["score_winding_number"]
+        and not row["undecided_by_field"]["score"]
+        for row in rows[FIELDS].to_dict("records")
+    )
+    regions = as_topology(rows[FIELDS]["regions"])
+    all_fields, all_regions = (count.good == count.all for count in (fields, regions))
     return {
-        "fields where the indices add up to the winding number on the border": Count.of(
-            row["score_index_sum"] == row["score_winding_number"]
-            and not row["undecided_by_field"]["score"]
-            for row in fields
-        ),
-        "regions where they do to the Euler characteristic": _as_topology(rows[FIELDS]),
-    }
+        "fields where the indices add up to the winding number on the border": fields,
+        "regions where they do to the Euler characteristic": regions,
+    }, Verdict.when(all_fields and all_regions, all_fields)
 
 
-def _index_rule(found: Mapping[str, Any]) -> Verdict:
-    fields, regions = (count.good == count.all for count in found.values())
-    return Verdict.when(fields and regions, fields)
-
-
-def _singularity(rows: Rows) -> Figures:
+@CLAIMS.add("vanishing-is-singularity", SECTION)
+def _singularity(rows: Rows) -> Judged:
+    """Score vanishing is a singularity that topology forces, and one of the guiding field."""
     fields = _robust(fields_of(rows))
     score, guiding = (_robust(zeros_of(rows, name)) for name in ("score", "guiding"))
-    meeting = int(fields["score_zeros_at_guiding_zeros"].sum())
+    meeting = Count(int(fields["score_zeros_at_guiding_zeros"].sum()), len(score))
     met = int(fields["guiding_zeros_at_score_zeros"].sum())
     on_path = score.loc[score["on_path"], "guiding_norm"]
     return {
         "robust fields": len(fields),
-        "zeros of the score at one of m": Count(meeting, len(score)),
-        "zeros that topology forces": int(regions_of(fields)["euler"].abs().sum()),
+        "zeros of the score at one of m": meeting,
+        "zeros that topology forces": forced(fields["regions"]),
         "least |m| at those on the path": float(on_path.min()) if len(on_path) else "none",
         "zeros of m at one of the score": Count(met, len(guiding)),
-    }
+    }, Verdict.every(meeting)
 
 
-def _density(rows: Rows) -> Figures:
+@CLAIMS.add("vanishing-low-density", SECTION)
+def _density(rows: Rows) -> Judged:
+    """Score vanishing is pronounced where the density of samples is low."""
     fields, zeros = fields_of(rows), zeros_of(rows, "score")
-    return {
-        "fields whose zeros keep to low density": _holding(fields["low_density"]),
-        "fields whose zeros off the path do": _holding(fields["low_density_off_path"]),
-        "zeros on the path": Count.of(zeros["on_path"]),
-    }
-
-
-def _density_rule(found: Mapping[str, Any]) -> Verdict:
-    everywhere, off_path, _ = found.values()
+    everywhere, off_path = (
+        _holding(fields[name]) for name in ("low_density", "low_density_off_path")
+    )
     # Most zeros are on the path by the density's own shape; the others are the question.
     verdict = _more_than_chance(off_path)
-    less = verdict is Verdict.HOLDS and everywhere.good < everywhere.all
-    return Verdict.PARTLY if less else verdict
+    if verdict is Verdict.HOLDS and everywhere.good < everywhere.all:
+        verdict = Verdict.PARTLY
+    return {
+        "fields whose zeros keep to low density": everywhere,
+        "fields whose zeros off the path do": off_path,
+        "zeros on the path": Count.of(zeros["on_path"]),
+    }, verdict
 
 
-def _curvature(rows: Rows) -> Figures:
-    return {HIGH_CURVATURE: _holding(fields_of(rows)["high_curvature"])}
+@CLAIMS.add("vanishing-high-curvature", SECTION)
+def _curvature(rows: Rows) -> Judged:
+    """Score vanishing is pronounced where the curvature is high."""
+    holding = _holding(fields_of(rows)["high_curvature"])
+    told = {"fields whose zeros on the path keep to high curvature": holding}
+    return told, _more_than_chance(holding)
 
 
-def _topology(rows: Rows) -> Figures:
-    regions, zeros = regions_of(rows[FIELDS]), zeros_of(rows, "score")
+@CLAIMS.add("vanishing-topology", SECTION)
+def _topology(rows: Rows) -> Judged:
+    """Score vanishing is pronounced at nontrivial topology, as loops and holes."""
+    regions, zeros = regions_of(rows[FIELDS]["regions"]), zeros_of(rows, "score")
     regions = regions[regions["euler"] != 0]
+    with_zero, there = Count.of(regions["zeros"] > 0), int(regions["zeros"].sum())
+    everywhere = 0 < with_zero.all == with_zero.good
     return {
-        "holes, and regions around more than one loop, with a zero": Count.of(
-            regions["zeros"] > 0
-        ),
-        "zeros that are there": Count(int(regions["zeros"].sum()), len(zeros)),
-    }
+        "holes, and regions around more than one loop, with a zero": with_zero,
+        "zeros that are there": Count(there, len(zeros)),
+    }, Verdict.when(everywhere and there > len(zeros) / 2, everywhere)
 
 
-def _topology_rule(found: Mapping[str, Any]) -> Verdict:
-    regions, zeros = found.values()
-    everywhere = 0 < regions.all == regions.good
-    return Verdict.when(everywhere and zeros.good > zeros.all / 2, everywhere)
-
-
-def _dimension(rows: Rows) -> Figures:
+@CLAIMS.add("vanishing-singularity-free", SECTION)
+def _dimension(rows: Rows) -> Judged:
+    """A guiding field in one more dimension has no singularity."""
     pieces = pd.DataFrame(rows[PARAMETRIC]["pieces"].explode().tolist())
-    least = pieces[["grid", "least"]].min(axis=1)
+    found = pieces[["grid", "least"]].min(axis=1)
+    least, bounded = float(found.min()), Count.of(found >= (1 - SEARCH) * pieces["formula"])
     return {
-        "least |chi| that a grid and descents found": float(least.min()),
-        "pieces where it is what the formula says": Count.of(
-            least >= (1 - SEARCH) * pieces["formula"]
-        ),
-    }
-
-
-def _dimension_rule(found: Mapping[str, Any]) -> Verdict:
-    least, bounded = found.values()
-    return Verdict.when(least > SEARCH and bounded.good == bounded.all, least > SEARCH)
-
-
-CLAIMS = (
-    Claim(
-        "vanishing-indices",
-        SECTION,
-        "The zeros of the learned score obey the theorem of Poincare and Hopf: the sum of "
-        "their indices is fixed by topology, as the Euler characteristic.",
-        _indices,
-        _index_rule,
-    ),
-    Claim(
-        "vanishing-is-singularity",
-        SECTION,
-        "Score vanishing is a singularity that topology forces, and one of the guiding field.",
-        _singularity,
-        every("zeros of the score at one of m"),
-    ),
-    Claim(
-        "vanishing-low-density",
-        SECTION,
-        "Score vanishing is pronounced where the density of samples is low.",
-        _density,
-        _density_rule,
-    ),
-    Claim(
-        "vanishing-high-curvature",
-        SECTION,
-        "Score vanishing is pronounced where the curvature is high.",
-        _curvature,
-        lambda found: _more_than_chance(found[HIGH_CURVATURE]),
-    ),
-    Claim(
-        "vanishing-topology",
-        SECTION,
-        "Score vanishing is pronounced at nontrivial topology, as loops and holes.",
-        _topology,
-        _topology_rule,
-    ),
-    Claim(
-        "vanishing-singularity-free",
-        SECTION,
-        "A guiding field in one more dimension has no singularity.",
-        _dimension,
-        _dimension_rule,
-    ),
-)
+        "least |chi| that a grid and descents found": least,
+        "pieces where it is what the formula says": bounded,
+    }, Verdict.when(least > SEARCH and bounded.good == bounded.all, least > SEARCH)
 
 
 # Figures.

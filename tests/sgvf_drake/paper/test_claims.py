@@ -7,8 +7,8 @@ import pandas as pd
 import pytest
 
 from sgvf_drake.paper import findings
-from sgvf_drake.paper.claims import Claim, Count, Mean, Share, Span, Verdict, every, judge
-from sgvf_drake.paper.experiment import Exhibit, save_rows
+from sgvf_drake.paper.claims import Claims, Count, Mean, Share, Span, Verdict, judge
+from sgvf_drake.paper.experiment import Exhibit, SeedsTable, count, first, save_rows
 
 DOCS = Path(__file__).parents[3] / "docs"
 HOLDS, PARTLY, FAILS = Verdict.HOLDS, Verdict.PARTLY, Verdict.FAILS
@@ -27,9 +27,8 @@ HOLDS, PARTLY, FAILS = Verdict.HOLDS, Verdict.PARTLY, Verdict.FAILS
         ([(0, 0), (3, 3)], PARTLY),
     ],
 )
-def test_a_verdict_follows_from_the_named_counts(counts, verdict):
-    figures = {f"count {k}": Count(*count) for k, count in enumerate(counts)}
-    assert every(*figures)(figures | {"another count": Count(1, 2)}) is verdict
+def test_a_verdict_follows_from_counts(counts, verdict):
+    assert Verdict.every(*(Count(*count) for count in counts)) is verdict
 
 
 def test_figures_say_themselves_how_they_are_told():
@@ -45,34 +44,59 @@ def test_figures_say_themselves_how_they_are_told():
 
 
 def test_a_claim_is_judged_by_its_figures_and_tells_them():
-    claim = Claim(
-        "grow",
-        "Section IX",
-        "Squares grow.",
-        lambda rows: {
-            "larger": Count.of(rows["squares"]["square"] > 1),
-            "largest": float(rows["squares"]["square"].max()),
-            "part": Share(0.5),
-        },
-        every("larger"),
-        of_paper=False,
-    )
-    finding = judge(claim, {"squares": pd.DataFrame({"square": [1, 4, 1234.5]})})
+    claims = Claims()
+
+    @claims.add("grow", "Section IX", of_paper=False)
+    def grow(rows):
+        """Squares
+        grow.
+        """
+        larger = Count.of(rows["squares"]["square"] > 1)
+        largest = float(rows["squares"]["square"].max())
+        told = {"larger": larger, "largest": largest, "part": Share(0.5)}
+        return told, Verdict.every(larger)
+
+    finding = judge(claims[0], {"squares": pd.DataFrame({"square": [1, 4, 1234.5]})})
     assert finding.verdict is PARTLY
     assert finding.evidence == "larger: 2 of 3; largest: 1.23e+03; part: 50%."
     assert (finding.key, finding.source, finding.of_paper) == ("grow", "Section IX", False)
+    assert finding.statement == "Squares grow."
+
+
+def test_a_table_tells_what_the_seeds_of_a_group_say():
+    rows = pd.DataFrame(
+        {"shape": ["a", "a", "b"], "lap": [0.5, 1.0, 0.25], "good": [True, False, True]}
+    )
+    columns = {
+        "lap": ("lap", (0.0, 1.0)),
+        "most": ("lap", pd.Series.max),
+        "good": ("good", count),
+        "one": ("good", first),
+        "both": ("lap", lambda own: {"seeds": len(own), "sum": own.sum()}),
+    }
+    table = SeedsTable("laps", "How many lap.", columns).of(rows, ("shape",)).content
+    one, other = table.to_dict("records")
+    assert (one["lap mean"], one["lap low"], one["lap high"]) == (0.75, 0.0, 1.0)
+    assert (one["most"], one["good"], one["one"]) == (1.0, "1 of 2", True)
+    assert (one["seeds"], one["sum"], other["seeds"], other["sum"]) == (2, 1.5, 1, 0.25)
+    intervals = ("lap mean", "lap low", "lap high")
+    assert [*table] == ["shape", *intervals, "most", "good", "one", "seeds", "sum"]
 
 
 def test_the_page_of_findings_judges_stored_rows_and_tells_ours_apart(tmp_path, monkeypatch):
-    def claim(statement, largest, of_paper):
-        return Claim(
-            *("grow", "Section IX", statement),
-            lambda rows: {"largest": int(rows["squares"]["square"].max())},
-            lambda found: Verdict.when(found["largest"] > largest),
-            of_paper,
-        )
+    claims = Claims()
 
-    claims = claim("Theirs grow.", 3, True), claim("Ours grow.", 4, False)
+    @claims.add("theirs", "Section IX")
+    def grow(rows):
+        """Theirs grow."""
+        largest = int(rows["squares"]["square"].max())
+        return {"largest": largest}, Verdict.when(largest > 3)
+
+    @claims.add("ours", "Section IX", of_paper=False)
+    def grow_more(rows):
+        """Ours grow."""
+        return grow(rows)[0], Verdict.FAILS
+
     kind = SimpleNamespace(
         findings=lambda rows: [judge(one, rows) for one in claims],
         tables=lambda rows: [Exhibit("squares", "How they grow.", rows["squares"])],

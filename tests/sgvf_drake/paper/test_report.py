@@ -15,11 +15,11 @@ import pytest
 
 from sgvf_drake.experiments.intervals import interval_columns
 from sgvf_drake.paper import run_reproduce, scenario_names
-from sgvf_drake.paper.report import build_page
-from sgvf_drake.paper.report.pictures import embed
-from sgvf_drake.paper.report.tables import (
+from sgvf_drake.paper.report import (
+    build_page,
     cell_text,
     duration_text,
+    embed,
     interval_text,
     number_text,
     read_table,

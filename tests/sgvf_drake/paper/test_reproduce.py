@@ -5,7 +5,8 @@ import json
 import pytest
 
 from sgvf_drake.exceptions import ConfigurationError, OutputExistsError
-from sgvf_drake.paper import load_scenario, run_reproduce, run_scenario, running
+from sgvf_drake.paper import load_scenario, run_reproduce, run_scenario
+from sgvf_drake.paper import scenario as scenario_module
 from sgvf_drake.paper.reproduce import REPORT
 from tests.helpers import content_of, names_in, summary_of
 
@@ -130,7 +131,7 @@ def test_a_changed_scenario_is_out_of_date_until_it_is_run(three, tmp_path):
 
 def test_changed_code_renews_results_from_their_trials(three, tmp_path, monkeypatch):
     run_reproduce(tmp_path)
-    monkeypatch.setattr(running, "code_digest", lambda *roots: "other")
+    monkeypatch.setattr(scenario_module, "code_digest", lambda *roots: "other")
     found = statuses(run_reproduce(tmp_path, only=["alpha"]))
     assert found == {"alpha": "done", "beta": "outdated", "gamma": "outdated"}
     (tmp_path / "alpha" / "squares.png").unlink()

@@ -8,9 +8,10 @@ import pandas as pd
 import pytest
 
 from sgvf_drake.exceptions import ConfigurationError, ExperimentError, OutputExistsError
-from sgvf_drake.paper import load_scenario, run_scenario, running
+from sgvf_drake.paper import load_scenario, run_scenario
+from sgvf_drake.paper import scenario as scenario_module
 from sgvf_drake.paper.experiment import load_rows
-from sgvf_drake.paper.running import is_result_of, stored_summary
+from sgvf_drake.paper.scenario import is_result_of, stored_summary
 from tests.helpers import content_of, names_in
 
 FILES = {
@@ -153,7 +154,7 @@ def test_a_result_is_known_by_its_scenario_and_its_code(load, tmp_path, monkeypa
     assert is_result_of(summary, other)
     other.title = "Another title"
     assert not is_result_of(summary, other)
-    monkeypatch.setattr(running, "code_digest", lambda *roots: "other")
+    monkeypatch.setattr(scenario_module, "code_digest", lambda *roots: "other")
     assert not is_result_of(summary, scenario)
 
 

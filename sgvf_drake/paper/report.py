@@ -1,12 +1,36 @@
-"""Numbers and tables as people read them: three digits, and intervals beside their means."""
+"""One page of what experiments found: verdicts, figures and tables, in a single HTML file.
 
+It needs no other file, and no script.  Numbers are told in three digits, with intervals beside
+their means, and pictures are small.
+"""
+
+import base64
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
+import io
 import math
 from pathlib import Path
+from typing import Any, NamedTuple
 
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
 import numpy as np
 import pandas as pd
 from pandas.api.types import is_bool_dtype, is_numeric_dtype
+from PIL import Image
+
+from sgvf_drake.paper.claims import Verdict
+from sgvf_drake.paper.scenario import SCENARIO_FILE, stored_summary
+
+TEMPLATE, STYLE = "report.html", "report.css"
+SYMBOLS = {Verdict.HOLDS: "holds", Verdict.PARTLY: "partly", Verdict.FAILS: "fails"}
+"""What the style sheet and the symbols on the page call the verdicts."""
+
+THUMBNAIL = (360, 240)
+"""Pixels, at most."""
+EXACT_BYTES = 150_000
+"""What a picture may have with every pixel as it is; beyond, it is compressed with loss."""
 
 DIGITS = 3
 # What is smaller or not smaller than these is written with a power of ten.
@@ -16,6 +40,105 @@ _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 # Characters from which a text needs width.
 PROSE = 50
 MEAN, LOW, HIGH = " mean", " low", " high"
+
+
+def build_page(summary: Mapping[str, Any], folder: Path) -> str:
+    """Returns the report of a reproduction in a folder, as an HTML file, by its summary."""
+    loader = PackageLoader("sgvf_drake.paper")
+    environment = Environment(
+        loader=loader,
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    option = " --override quick" if summary["quick"] else ""
+    sections = [
+        {
+            **{"name": name, "command": f"sgvf run {name}{option} --out {name}"},
+            **entry,
+            **_result(folder / name, entry["status"]),
+        }
+        for name, entry in summary["scenarios"].items()
+    ]
+    return environment.get_template(TEMPLATE).render(
+        # The style sheet is ours; everything else is escaped.
+        style=Markup(loader.get_source(environment, STYLE)[0]),
+        sections=sections,
+        symbols=SYMBOLS,
+        time=duration_text(summary["trial_s"]),
+        wall=duration_text(summary["wall_s"]),
+        summary=summary,
+    )
+
+
+def _result(folder: Path, status: str) -> dict[str, Any]:
+    """Returns what is shown of the result of a scenario; it is empty where there is none."""
+    summary = stored_summary(folder) if status in ("done", "outdated") else None
+    if summary is None:
+        return {"claims": [], "exhibits": [], "thumbnail": None, "facts": {}, "scenario": ""}
+    exhibits = [
+        {
+            "caption": one["caption"],
+            **(
+                {"picture": embed(folder / one["file"])}
+                if one["file"].endswith(".png")
+                else {"table": read_table(folder / one["file"])}
+            ),
+        }
+        for one in summary["exhibits"]
+    ]
+    pictures = [one["file"] for one in summary["exhibits"] if one["file"].endswith(".png")]
+    seeds = summary["seeds"]
+    facts = {
+        "Seeds" if len(seeds) > 1 else "Seed": ", ".join(map(str, seeds)) or "none",
+        "Trials": duration_text(summary["trial_s"]),
+        "Last run": duration_text(summary["wall_s"]),
+    }
+    return {
+        "claims": summary["claims"],
+        "exhibits": exhibits,
+        "thumbnail": embed(folder / pictures[0], thumbnail=True) if pictures else None,
+        "facts": facts | ({"Commit": summary["commit"]} if summary["commit"] else {}),
+        "scenario": (folder / SCENARIO_FILE).read_text(encoding="utf-8"),
+    }
+
+
+class Embedded(NamedTuple):
+    """A picture as the page holds it: its content as an address, and its size in pixels."""
+
+    source: str
+    width: int
+    height: int
+
+
+def embed(path: Path, *, thumbnail: bool = False) -> Embedded:
+    """Returns a picture, in about a third of the bytes of its PNG file or as a thumbnail."""
+    return _embedded(path.read_bytes(), thumbnail)
+
+
+# The page is built after every scenario, and encoding its pictures takes most of the time.
+@lru_cache(maxsize=256)
+def _embedded(content: bytes, thumbnail: bool) -> Embedded:
+    with Image.open(io.BytesIO(content)) as file:
+        picture = file.convert("RGB")
+    if thumbnail:
+        picture.thumbnail(THUMBNAIL, Image.Resampling.LANCZOS)
+        encoded = _encoded(picture, quality=80)
+    else:
+        # More effort takes longer and does not make figures smaller.
+        encoded = _encoded(picture, lossless=True, method=1)
+    if len(encoded) > EXACT_BYTES:
+        # At this quality the loss is not seen.
+        encoded = min(encoded, _encoded(picture, quality=90, use_sharp_yuv=True), key=len)
+    text = base64.b64encode(encoded).decode("ascii")
+    return Embedded(f"data:image/webp;base64,{text}", *picture.size)
+
+
+def _encoded(picture: Image.Image, **options: Any) -> bytes:
+    stream = io.BytesIO()
+    picture.save(stream, format="WEBP", **options)
+    return stream.getvalue()
 
 
 @dataclass(frozen=True)
