@@ -39,7 +39,8 @@ class Document:
         body = asdict(self)
         head = {"format": self.FORMAT, "version": self.VERSION, "digest": _digest(body)}
         lines = (
-            f" {json.dumps(key)}: {json.dumps(value)}" for key, value in (head | body).items()
+            f" {json.dumps(key)}: {json.dumps(value, allow_nan=False)}"
+            for key, value in (head | body).items()
         )
         return "{\n" + ",\n".join(lines) + "\n}\n"
 

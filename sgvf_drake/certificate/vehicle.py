@@ -182,8 +182,7 @@ class StageProof:
 
     Attributes:
         failures: What is not proved, in words; empty: all is.
-        held: The bounds that hold from the start.
-        final: Those that hold after `settling`.
+        final: The bounds that hold after `settling`.
         settling: s.
         error: Of |e| from the start, m/s.
         final_error: Of |e| after `settling`.
@@ -192,7 +191,6 @@ class StageProof:
     """
 
     failures: tuple[str, ...]
-    held: ErrorBounds
     final: ErrorBounds
     settling: float
     error: float
@@ -227,7 +225,7 @@ def prove_stage(
     law: VehicleLaw,
     linear: Linear,
     start: ErrorBounds,
-    held: ErrorBounds | None,
+    held: ErrorBounds,
     bounds: FlownBounds,
     unit: float,
     disturbance: float,
@@ -238,27 +236,23 @@ def prove_stage(
         law: The vehicle.
         linear: The linear system.
         start: Of the errors at the start; `change` is not asked for.
-        held: Bounds that are claimed to hold from the start on; None: those of the start are
-            known to hold.
+        held: Bounds that are claimed to hold from the start on.
         bounds: Of the field between the walls, for |e| up to `bounds.error` v0.
         unit: Metres in a normalised unit.
         disturbance: Of |d|, m/s^2.
     """
     loop = linear_loop(law, linear)
-    first = held or start
-    fed = feed(law, linear, first, bounds, unit, disturbance)
+    fed = feed(law, linear, held, bounds, unit, disturbance)
     failures = list(fed.failures)
     if loop is None:
-        return StageProof(
-            ("the linear loop is not stable", *failures), first, first, 0, np.inf, np.inf, fed
-        )
-    if held is not None:
-        kept = held_from(loop, start, fed)
-        for name, value in vars(held).items():
-            mine = getattr(kept, name)
-            if not mine * (1 + MARGIN) < value:
-                failures.append(f"the bound of {name}: {mine:.4g}, not below {value:.4g}")
-    final, last = first, fed
+        failures.insert(0, "the linear loop is not stable")
+        return StageProof(tuple(failures), held, 0, np.inf, np.inf, fed)
+    kept = held_from(loop, start, fed)
+    for name, value in vars(held).items():
+        mine = getattr(kept, name)
+        if not mine * (1 + MARGIN) < value:
+            failures.append(f"the bound of {name}: {mine:.4g}, not below {value:.4g}")
+    final, last = held, fed
     for _ in range(0 if failures else SHRINKS):
         left = math.exp(-law.velocity_gain * SETTLING)
         less = _respond(loop, loop.across.late, loop.yaw.late, final, last, left)
@@ -268,9 +262,7 @@ def prove_stage(
         )
         last = feed(law, linear, final, bounds, unit, disturbance)
     settling, integral = SHRINKS * SETTLING, tuple(loop.across.integral[0].tolist())
-    return StageProof(
-        tuple(failures), first, final, settling, fed.error, last.error, fed, integral
-    )
+    return StageProof(tuple(failures), final, settling, fed.error, last.error, fed, integral)
 
 
 def held_from(loop: Loop, start: ErrorBounds, fed: Feeding) -> ErrorBounds:

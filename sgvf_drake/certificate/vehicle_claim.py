@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import math
 from typing import Any
 
+import numpy as np
+
 from sgvf_drake.certificate.document import bounds_hold
 from sgvf_drake.certificate.field_model import ExactField
 from sgvf_drake.certificate.flown_jerk import bound_flown, least_progress, region
@@ -56,7 +58,7 @@ class VehicleProposal:
 
 @dataclass(frozen=True)
 class VehiclePiece:
-    """What is proved of the flight along one piece; SI units.
+    """What is proved of the flight along one piece; SI units.  None: it has no bound.
 
     Attributes:
         proposal: What it is proved by.
@@ -78,17 +80,17 @@ class VehiclePiece:
 
     proposal: VehicleProposal
     failures: tuple[str, ...]
-    half_width: float = math.nan
-    altitude_error: float = math.nan
-    velocity_error: float = math.inf
-    tolerated: float = 0.0
-    progress: float = 0.0
+    half_width: float | None = None
+    altitude_error: float | None = None
+    velocity_error: float | None = None
+    tolerated: float | None = None
+    progress: float | None = None
     final: ErrorBounds | None = None
-    final_error: float = math.inf
-    settling: float = math.nan
-    tilt: float = math.nan
-    tilt_demanded: float = math.nan
-    forces: tuple[float, float] = (math.nan, math.nan)
+    final_error: float | None = None
+    settling: float | None = None
+    tilt: float | None = None
+    tilt_demanded: float | None = None
+    forces: tuple[float | None, float | None] = (None, None)
     causes: Mapping[str, float] | None = None
     patches: int = 0
 
@@ -205,18 +207,24 @@ def prove_piece(
         tuple(failures),
         half_width=walls.half_widths(tube)[proposal.pairs - 1] * unit,
         altitude_error=top / law.altitude_gain * math.atanh(min(climb / top, 0.999)),
-        velocity_error=proof.error,
+        velocity_error=_finite(proof.error),
         tolerated=tolerated,
-        progress=progress,
+        progress=_finite(progress),
         final=proof.final,
-        final_error=proof.final_error,
-        settling=proof.settling,
-        tilt=math.asin(fed.tilt),
-        tilt_demanded=fed.tilt_demanded,
-        forces=(fed.least_force, fed.most_force),
+        final_error=_finite(proof.final_error),
+        settling=_finite(proof.settling),
+        tilt=_finite(math.asin(fed.tilt)),
+        tilt_demanded=_finite(fed.tilt_demanded),
+        forces=(_finite(fed.least_force), _finite(fed.most_force)),
         causes={
             name: float(sum(g * x for g, x in zip(integral, parts, strict=True)))
             for name, parts in fed.causes.items()
-        },
+        }
+        if np.isfinite(integral).all()
+        else None,
         patches=bounds.patches,
     )
+
+
+def _finite(bound: float) -> float | None:
+    return bound if math.isfinite(bound) else None

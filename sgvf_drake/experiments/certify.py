@@ -74,8 +74,7 @@ def run_certify(
         return with_vehicle(found, flown, *of_flight)
 
     def told(found: Certificate) -> dict[str, Any]:
-        rate = None if asked is None else asked.approach_rate
-        flight = None if found.vehicle is None else told_of_vehicle(found.vehicle, rate)
+        flight = None if found.vehicle is None else told_of_vehicle(found.vehicle, asked)
         return {**certificate_summary(found), "reference": kind, "vehicle": flight}
 
     return leave_proof(

@@ -4,9 +4,10 @@ Samples of the field between walls tell where a proof may succeed; there the fie
 and the errors that hold are iterated from those of the start until they do not grow.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from functools import cache
+from itertools import product
 import math
 from typing import Any
 
@@ -55,6 +56,8 @@ TARGETS = (1.0, 1.18)
 # velocity error, the rate's in which the attitude error would turn at such a part of the
 # bandwidth, and such a part of both about the thrust; the vertical one, of all.
 THRUST, RATE, YAW, VERTICAL = 0.5, 0.5, 0.1, 0.15
+# Of the speed, a velocity error that is hardly any.
+SMALL = 1e-3
 # Approach rates that are tried, 1/s, where none is asked for; the first is that of a quadrotor.
 RATES = (MAX_APPROACH_RATE, 2.0, 1.5, 1.25, 1.0, 0.75)
 # What is tolerated of the largest disturbance, so that errors at the start have their part.
@@ -119,6 +122,11 @@ class Trial:
     law: VehicleLaw
     unit: float
 
+    @property
+    def small(self) -> ErrorBounds:
+        """Errors at a start that are hardly any."""
+        return self.start(SMALL * self.law.speed)
+
     def start(self, error: float) -> ErrorBounds:
         """Returns the errors at a start with a velocity error, m/s."""
         law = self.law
@@ -135,7 +143,7 @@ class Trial:
         if loop is None:
             return None
         for _ in range(ITERATIONS):
-            linear = self._linear(errors, bounds, centre)
+            linear = self.linear(errors, bounds, centre)
             fed = feed(self.law, linear, errors, bounds, self.unit, disturbance)
             if fed.failures:
                 return None
@@ -144,7 +152,7 @@ class Trial:
             kept = ErrorBounds(*(GROWN * one + 1e-7 for one in vars(kept).values()))
             grown = _each(max, errors, kept)
             if all(new <= SETTLED * old for new, old in _pairs(grown, errors)):
-                linear = self._linear(grown, bounds, centre)
+                linear = self.linear(grown, bounds, centre)
                 last = feed(self.law, linear, grown, bounds, self.unit, disturbance)
                 more = held_from(loop, start, last)
                 holds = all(1.00001 * new < old for new, old in _pairs(more, grown))
@@ -166,13 +174,13 @@ class Trial:
         low, high = 0.0, 1.0
         for _ in range(BISECTIONS):
             share = (low + high) / 2
-            start = self.start(share * error if error else 1e-3 * self.law.speed)
+            start = self.start(share * error) if error else self.small
             force = disturbance if error else share * disturbance
             holds = self.holding(start, bounds, centre, force) is not None
             low, high = (share, high) if holds else (low, share)
         return low
 
-    def _linear(self, errors: ErrorBounds, bounds: FlownBounds, centre: float) -> Linear:
+    def linear(self, errors: ErrorBounds, bounds: FlownBounds, centre: float) -> Linear:
         """Returns the linear system with the bounds of |q| / g that errors have."""
         law, g = self.law, self.law.gravity
         across = law.speed**2 / self.unit * bounds.acceleration
@@ -209,29 +217,55 @@ def find_candidate(
         law: The vehicle.
         unit: Metres in a normalised unit.
     """
-    if found.walls is None or found.walls_proof is None:
-        return None
     trial = Trial(law, unit)
-    small = trial.start(1e-3 * law.speed)
+    for pairs, cells, seen, centre in _tries(field, found, law, unit):
+        if trial.holding(trial.small, seen, centre, 0.0) is None:
+            continue
+        found_here = _bounded(field, cells, trial, seen, centre)
+        if found_here is not None:
+            target, bounds = found_here
+            most = law.velocity_gain * seen.error * law.speed
+            part = trial.largest(bounds, centre, error=0.0, disturbance=most)
+            return Candidate(pairs, bounds, centre, target, part * most)
+    return None
+
+
+def excess(field: GuidingField, found: FoundTube, law: VehicleLaw, unit: float) -> float:
+    """Returns how many times too large velocity errors grow, at least, by samples.
+
+    That is what errors as large as they may be feed, over what they may be, between the walls
+    where this is least.  Below one there may still be no errors that hold all together.
+
+    Args:
+        field: As it is flown, in the plane.
+        found: A tube of it, with walls.
+        law: The vehicle.
+        unit: Metres in a normalised unit.
+    """
+    trial, found_here = Trial(law, unit), [math.inf]
+    for _, _, seen, centre in _tries(field, found, law, unit):
+        if (loop := _loop(law, centre)) is not None:
+            most = seen.error * law.speed
+            errors = trial.start(most)
+            linear = trial.linear(errors, seen, centre)
+            fed = feed(law, linear, errors, seen, unit, 0.0)
+            found_here.append(held_from(loop, trial.small, fed).across / most)
+    return float(np.nanmin(found_here))
+
+
+def _tries(
+    field: GuidingField, found: FoundTube, law: VehicleLaw, unit: float
+) -> Iterator[tuple[int, Parts, FlownBounds, float]]:
+    """Yields walls, widest first, the cells between them, bounds by samples there, and K_0."""
+    if found.walls is None or found.walls_proof is None:
+        return
     for pairs in range(len(found.walls_proof.e_star), 0, -1):
         cells = region(found.tube, found.walls, pairs)
         samples = _Samples.between(field, cells)
-        for share in SHARES:
-            error = share * found.walls_proof.e_star[pairs - 1]
-            for more in CENTRES:
-                centre = law.velocity_gain + more
-                c = -more * unit / law.speed
-                seen = samples.bounds(error, law.slow / law.speed, c)
-                if trial.holding(small, seen, centre, 0.0) is None:
-                    continue
-                found_here = _bounded(field, cells, trial, seen, centre)
-                if found_here is None:
-                    continue
-                target, bounds = found_here
-                most = law.velocity_gain * error * law.speed
-                part = trial.largest(bounds, centre, error=0.0, disturbance=most)
-                return Candidate(pairs, bounds, centre, target, part * most)
-    return None
+        for share, more in product(SHARES, CENTRES):
+            error, c = share * found.walls_proof.e_star[pairs - 1], -more * unit / law.speed
+            seen = samples.bounds(error, law.slow / law.speed, c)
+            yield pairs, cells, seen, law.velocity_gain + more
 
 
 def _bounded(
@@ -245,8 +279,7 @@ def _bounded(
     for more in TARGETS:
         target = more * seen.jerk
         aimed = replace(seen, jerk=target)
-        small = trial.start(1e-3 * law.speed)
-        if trial.holding(small, aimed, centre, 0.0) is None:
+        if trial.holding(trial.small, aimed, centre, 0.0) is None:
             return None
         bounds = bound_flown(
             field,
@@ -257,7 +290,7 @@ def _bounded(
             target=target,
         )
         if bounds is not None:
-            holds = trial.holding(small, bounds, centre, 0.0) is not None
+            holds = trial.holding(trial.small, bounds, centre, 0.0) is not None
             return (target, bounds) if holds else None
     return None
 
@@ -365,6 +398,7 @@ class VehicleAnswer:
         law: The vehicle.
         disturbance: m/s^2.
         proposals: Of each piece; None: nothing.
+        reason: Why there are none, in words.
     """
 
     field: GuidingField
@@ -372,6 +406,7 @@ class VehicleAnswer:
     law: VehicleLaw
     disturbance: float
     proposals: tuple[VehicleProposal | None, ...]
+    reason: str = ""
 
 
 def propose_flight(
@@ -396,23 +431,29 @@ def propose_flight(
     law = vehicle_law(question.speed, QuadrotorParameters(), DEFAULT_GAINS)
     unit = field.cloud.unit_length * question.scale
     rates = RATES if question.approach_rate is None else (question.approach_rate,)
+    reasons = []
     for number, rate in enumerate(rates):
         progress("approach rates", number, len(rates))
         flown = widened(field, question, rate)
-        candidates = []
+        candidates: list[Candidate] = []
         for piece in reference.pieces:
             found = find_tube(flown, field.cloud.normalize(piece.vertices), closed=True)
             candidate = None if found is None else find_candidate(flown, found, law, unit)
-            candidates.append(candidate)
             if candidate is None:
+                reason = "there are no walls"
+                if found is not None and found.walls is not None:
+                    times = excess(flown, found, law, unit)
+                    reason = f"velocity errors feed {times:.2g} times what they may be"
+                reasons.append(f"at {rate:g} /s, along piece {len(candidates) + 1}, {reason}")
                 break
-        known = [candidate for candidate in candidates if candidate is not None]
-        if len(known) == len(reference.pieces):
-            force = DISTURBED * min(candidate.disturbance for candidate in known)
-            proposals = tuple(propose(candidate, law, unit, force) for candidate in known)
+            candidates.append(candidate)
+        else:
+            force = DISTURBED * min(candidate.disturbance for candidate in candidates)
+            proposals = tuple(propose(one, law, unit, force) for one in candidates)
             return VehicleAnswer(flown, rate, law, force, proposals)
     nothing = (None,) * len(reference.pieces)
-    return VehicleAnswer(widened(field, question, rates[0]), rates[0], law, 0.0, nothing)
+    flown = widened(field, question, rates[0])
+    return VehicleAnswer(flown, rates[0], law, 0.0, nothing, "; ".join(reasons))
 
 
 def widened(field: GuidingField, question: VehicleQuestion, rate: float) -> GuidingField:
@@ -421,18 +462,24 @@ def widened(field: GuidingField, question: VehicleQuestion, rate: float) -> Guid
     return field.with_approach_length(length) if length > field.approach_length else field
 
 
-def told(result: VehicleResult, approach_rate: float | None) -> dict[str, Any]:
-    """Returns what is proved of a flight, by the names of `summary.json`."""
+def told(result: VehicleResult, answer: VehicleAnswer | None) -> dict[str, Any]:
+    """Returns what is proved of a flight, by the names of `summary.json`.
+
+    Args:
+        result: What is proved.
+        answer: What was proposed; None: it was claimed.
+    """
     fastest = result.law.speed + max(
-        (piece.velocity_error for piece in result.pieces if piece is not None), default=0.0
+        (piece.velocity_error or 0.0 for piece in result.pieces if piece is not None),
+        default=0.0,
     )
     drag = Disturbance().drag / result.law.mass
     pieces = [None if piece is None else asdict(piece) for piece in result.pieces]
     return {
         "proved": result.proved,
-        "sentence": sentence(result),
+        "sentence": sentence(result, "" if answer is None else answer.reason),
         "speed_m_s": result.law.speed,
-        "approach_rate_1_s": approach_rate,
+        "approach_rate_1_s": None if answer is None else answer.approach_rate,
         "disturbance_m_s2": result.disturbance,
         "wind_m_s": max(result.disturbance / drag - fastest, 0.0),
         "pieces": pieces,
@@ -449,14 +496,20 @@ NOT_COVERED = (
 )
 
 
-def sentence(result: VehicleResult) -> str:
-    """Says in one sentence what is proved, or what is in the way."""
+def sentence(result: VehicleResult, reason: str) -> str:
+    """Says in one sentence what is proved, or what is in the way.
+
+    Args:
+        result: What is proved.
+        reason: Why nothing was proposed.
+    """
     speed = f"at {result.law.speed:g} m/s"
     if result.proved:
         widths, starts = [], []
         for piece in result.pieces:
             assert piece is not None
             start = piece.proposal.start
+            assert piece.half_width is not None
             widths.append(piece.half_width)
             starts.append((start.across, start.rho / 9.81, start.sigma / 9.81))
         error, tilt, rate = np.min(starts, axis=0).tolist()
@@ -471,8 +524,5 @@ def sentence(result: VehicleResult) -> str:
         for number, piece in enumerate(result.pieces, start=1)
         if piece is not None and piece.failures
     ]
-    why = "; ".join(failures) or (
-        "between no walls do the velocity errors stay below what these tolerate: what they "
-        "feed is more than what the loop takes off"
-    )
-    return f"the flight {speed} is not proved ({why}); a lower --approach-rate is the remedy"
+    why = "; ".join(failures) or reason
+    return f"the flight {speed} is not proved: {why}; a lower speed or approach rate may be"

@@ -238,6 +238,18 @@ def test_what_is_claimed_of_a_vehicle_is_read_as_it_was_written():
     assert Certificate.from_json(claimed().to_json()) == claimed()
 
 
+def test_what_has_no_bound_is_read_too():
+    """A piece along which the jerk is not bounded; JSON has no infinity."""
+    proposal = VehicleProposal(1, 0.125, 1.3, LINEAR, START, HELD)
+    piece = VehiclePiece(proposal, ("the jerk of the field is not bounded as proposed",))
+    result = VehicleResult(LAW, 1.0, 0.01, (piece,))
+    found = Certificate(True, "", "digest", vehicle=result)
+    assert Certificate.from_json(found.to_json()) == found
+    unbounded = replace(found, area_fraction=np.inf)
+    with pytest.raises(ValueError, match="JSON"):
+        unbounded.to_json()
+
+
 @pytest.mark.parametrize(
     "changes", [{"velocity_error": 0.054}, {"tolerated": 0.07}, {"half_width": 0.04}]
 )
