@@ -27,10 +27,6 @@ from sgvf_drake.fields.storage import field_digest
 from sgvf_drake.paths import Piece, ReferencePath
 from sgvf_drake.progress import Progress, no_progress
 
-# Bounds of errors that are close enough: m crosses walls at a tenth of its size at the least,
-# and has one direction on most squares.
-AROUND, OUTSIDE = 1e-3, 1e-2
-
 
 @dataclass(frozen=True)
 class ExportedCertificate:
@@ -88,7 +84,7 @@ def check_exported(
         raise ConfigurationError("the certificate certifies nothing")
     check_rounding()
     machine = ARITHMETICS[arithmetic]
-    around, outside = (ExportedField(field, machine, enough) for enough in (AROUND, OUTSIDE))
+    around, outside = ExportedField(field, machine), ExportedField(field, machine)
 
     def prove(walls: Sequence[Walls]) -> Basin | None:
         progress("tubes and walls", 1, 1)
