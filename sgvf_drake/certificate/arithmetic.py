@@ -54,9 +54,8 @@ CHUNK = 512
 """Patches that are asked about at once."""
 
 # A patch is halved while its bound is above what is enough, and so many times that at its
-# middle, at most so often.  Walls are crossed at a tenth of the size of m at the least, but on
-# large squares m may have one direction by less than a hundredth.
-ENOUGH, LOOSE, HALVINGS = 1e-3, 3.0, 8
+# middle, at most so often.
+LOOSE, HALVINGS = 3.0, 8
 # By such a part halves are longer.
 OVERLAP = 2.0**-40
 
@@ -359,6 +358,7 @@ class ExportedField(PerturbedField):
     Attributes:
         field: m, of networks of the position.
         arithmetic: That of the machine.
+        enough: Bounds below it are not made any closer.
         largest: The largest error over all patches that were asked about.
 
     Raises:
@@ -367,6 +367,7 @@ class ExportedField(PerturbedField):
 
     field: ComposedField
     arithmetic: Arithmetic
+    enough: float = 1e-3
     largest: float = 0.0
 
     def __post_init__(self) -> None:
@@ -391,7 +392,7 @@ class ExportedField(PerturbedField):
         found = self._bound(patches)
         if halvings == 0 or patches.axes.shape[2] == 0:
             return found
-        loose = np.flatnonzero(~(found <= ENOUGH))
+        loose = np.flatnonzero(~(found <= self.enough))
         here = self._bound(Patches.points(patches.centers[loose]))
         loose = loose[~(found[loose] <= LOOSE * here)]
         if len(loose):
