@@ -65,27 +65,24 @@ class Arithmetic:
     """The numbers in which a field is evaluated.
 
     Attributes:
-        name: What exports call it.
         unit: The unit roundoff u of operations and of positions.
         weights: The type of stored weights, and of what is computed of them beforehand.
         tiny: Above what underflow changes the result of an operation by.
     """
 
-    name: str
     unit: float
     weights: type[np.floating[Any]]
     tiny: float
 
 
+_IN_DOUBLE = Arithmetic(DOUBLE, np.float64, 1e-290)
 ARITHMETICS = {
-    one.name: one
-    for one in (
-        Arithmetic("double", DOUBLE, np.float64, 1e-290),
-        Arithmetic("mixed", DOUBLE, np.float64, 1e-290),
-        Arithmetic("float", SINGLE, np.float32, 1e-37),
-    )
+    "double": _IN_DOUBLE,
+    # It stores in float what that leaves exact, and computes in double.
+    "mixed": _IN_DOUBLE,
+    "float": Arithmetic(SINGLE, np.float32, 1e-37),
 }
-"""By name: double; double, with those weights in float that this leaves exact; all in float."""
+"""By the names that exports give them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -365,7 +362,7 @@ class ExportedField(PerturbedField):
         largest: The largest error over all patches that were asked about.
 
     Raises:
-        ConfigurationError: Nothing bounds the errors of such a field.
+        ConfigurationError: If nothing bounds the errors of such a field.
     """
 
     field: ComposedField

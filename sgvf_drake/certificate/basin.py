@@ -343,7 +343,11 @@ def _staying(field: PlanarField, known: _Known, graphs: _Graphs) -> BoolArray:
 
 
 def prove_basin(
-    field: PlanarField, cells: Cells, walls: Sequence[Walls], fences: Sequence[Fence] = ()
+    field: PlanarField,
+    cells: Cells,
+    walls: Sequence[Walls],
+    fences: Sequence[Fence] = (),
+    roughly: PlanarField | None = None,
 ) -> Basin:
     """Proves from which squares robots come between walls.
 
@@ -352,10 +356,17 @@ def prove_basin(
         cells: Squares that cover the box.
         walls: Walls that are proved.
         fences: Fences, proved or not.
+        roughly: The field with bounds that cost less; the others are then asked only of squares
+            of which these do not prove it.
     """
     proved = Fences.proved(field, fences)
-    known = _Known.of(field, cells, walls, proved)
-    return _basin(field, known, _graphs(field, known, proved), proved)
+    known = _Known.of(roughly or field, cells, walls, proved)
+    graphs = _graphs(field, known, proved)
+    if roughly is not None:
+        lost = ~_comes(known, graphs)
+        known = known.replaced(lost, _Known.of(field, known.cells[lost], walls, proved))
+        graphs = _graphs(field, known, proved)
+    return _basin(field, known, graphs, proved)
 
 
 def _around(walls: Sequence[Walls]) -> Cells:

@@ -167,12 +167,16 @@ def prove_squares(
     field: PlanarField,
     walls: Sequence[Walls],
     progress: Progress = no_progress,
+    roughly: PlanarField | None = None,
 ) -> Basin | None:
-    """Returns what is proved of the squares of a certificate, beside walls that are proved."""
+    """Returns what is proved of the squares of a certificate, beside walls that are proved.
+
+    With `roughly` as of `prove_basin`.
+    """
     if certificate.cells is None or not walls:
         return None
     progress("cells", 0, 1)
-    basin = prove_basin(field, Cells.of(certificate.cells), walls, certificate.fences)
+    basin = prove_basin(field, Cells.of(certificate.cells), walls, certificate.fences, roughly)
     progress("cells", 1, 1)
     return basin
 

@@ -24,12 +24,12 @@ from sgvf_drake.certificate.walls import Walls
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import GuidingField
 from sgvf_drake.fields.storage import field_digest
-from sgvf_drake.paths import ReferencePath
+from sgvf_drake.paths import Piece, ReferencePath
 from sgvf_drake.progress import Progress, no_progress
 
 # Bounds of errors that are close enough: m crosses walls at a tenth of its size at the least,
-# and has one direction on most squares.
-AROUND, OUTSIDE = 1e-3, 1e-2
+# and has one direction on most squares; of the others they have to be as close.
+CLOSE, ROUGH = 1e-3, 1e-2
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def check_exported(
     certificate: Certificate,
     field: GuidingField,
     arithmetic: str,
-    reference: ReferencePath | None = None,
+    *,
     progress: Progress = no_progress,
 ) -> ExportedCertificate:
     """Proves a certificate anew of a field as a machine evaluates it.
@@ -70,13 +70,12 @@ def check_exported(
         certificate: That of the field.
         field: The field, as exact as its stored weights.
         arithmetic: `double`, `mixed` or `float`.
-        reference: The path; None: `field.path`.
         progress: Told how far it is.
 
     Raises:
-        ConfigurationError: The certificate is that of another field, or of nothing; or nothing
-            bounds the errors of the field in this arithmetic.
-        RuntimeError: The process does not round to nearest.
+        ConfigurationError: If the certificate is that of another field, or of nothing; or if
+            nothing bounds the errors of the field in this arithmetic.
+        RuntimeError: If the process does not round to nearest.
     """
     if arithmetic not in ARITHMETICS:
         raise ConfigurationError(
@@ -89,19 +88,22 @@ def check_exported(
         raise ConfigurationError("the certificate certifies nothing")
     check_rounding()
     machine = ARITHMETICS[arithmetic]
-    around, outside = (ExportedField(field, machine, enough) for enough in (AROUND, OUTSIDE))
+    around, outside, roughly = (
+        ExportedField(field, machine, enough) for enough in (CLOSE, CLOSE, ROUGH)
+    )
 
     def prove(walls: Sequence[Walls]) -> Basin | None:
         progress("tubes and walls", 1, 1)
-        return prove_squares(certificate, outside, walls, progress)
+        return prove_squares(certificate, outside, walls, progress, roughly)
 
     progress("tubes and walls", 0, 1)
     with threadpool_limits(**ONE_THREAD):
-        path = field.path if reference is None else reference
-        found = prove_by_tubes(field, path, known_tubes(certificate, around), prove)
+        known = known_tubes(certificate, around)
+        found = prove_by_tubes(field, _path_of(certificate, field), known, prove)
     e_star = tuple(piece.e_star for piece in certificate.pieces)
+    # Walls are divided into more parts, so that their bounds may even be above the known ones.
     left = tuple(
-        own.e_star + (0.0,) * (len(before) - len(own.e_star))
+        tuple(map(min, own.e_star, before)) + (0.0,) * (len(before) - len(own.e_star))
         for own, before in zip(found.pieces, e_star, strict=True)
     )
     return ExportedCertificate(
@@ -109,11 +111,26 @@ def check_exported(
         certified=found.certified,
         reason=_reason(found, around.largest, e_star, left),
         error=float(around.largest),
-        box_error=None if found.cells is None else float(outside.largest),
+        box_error=None if found.cells is None else float(max(outside.largest, roughly.largest)),
         e_star=e_star,
         e_star_left=left,
         area_fraction=found.area_fraction,
     )
+
+
+def _path_of(certificate: Certificate, field: GuidingField) -> ReferencePath:
+    """Returns the lines of the tubes: the pieces that the certificate is about.
+
+    It may be of another path than `field.path`, as of one piece of two.
+    """
+    if not certificate.tubes:
+        raise ConfigurationError("the certificate certifies nothing")
+    pieces = []
+    for tube in certificate.tubes:
+        assert tube is not None, "a piece without a tube is not certified"
+        line = tube.rows[: len(tube.sections), 0]
+        pieces.append(Piece(field.cloud.denormalize(line), tube.closed))
+    return ReferencePath(tuple(pieces))
 
 
 def _reason(

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -12,67 +11,46 @@ from sgvf_drake.cli.application import FAILED, app, progress
 from sgvf_drake.cli.options import FieldPath, Out, Overwrite
 from sgvf_drake.cli.tables import print_columns, print_folder, print_table
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.export import C_FILES
+from sgvf_drake.export import C_FILES, export_c
 
 if TYPE_CHECKING:
     from sgvf_drake.fields import DirectedField, GuidingField
-
-
-class Options(NamedTuple):
-    """What is asked of an export; None: not asked for.
-
-    Attributes:
-        precision: How numbers are stored and computed.
-        routes: Edges of the network of a directed field, as "1,2,-3".
-        certificate: What is proved of the field in this precision, for the files to tell.
-    """
-
-    precision: str
-    routes: list[str] | None
-    certificate: str | None
 
 
 class Target(NamedTuple):
     """A form in which a field can be written.
 
     Attributes:
-        write: Writes a field into a folder, as options say, and returns a summary.
+        write: Writes a field into a folder and returns a summary; takes the options of
+            `export_c`.
         show: Prints a summary.
         files: What it leaves there.
         precision: The one that is meant where none is told.
     """
 
-    write: Callable[["GuidingField | DirectedField", Path, Options], dict[str, Any]]
+    write: Callable[..., dict[str, Any]]
     show: Callable[[Mapping[str, Any]], None]
     files: tuple[str, ...]
     precision: str
 
 
-def _write_c(
-    field: "GuidingField | DirectedField", folder: Path, options: Options
-) -> dict[str, Any]:
-    from sgvf_drake.export import export_c
-
-    precision, routes, certificate = options
-    return export_c(field, folder, precision, routes=routes, certificate=certificate)
-
-
 def _write_onnx(
-    field: "GuidingField | DirectedField", folder: Path, options: Options
+    field: "GuidingField | DirectedField",
+    folder: Path,
+    precision: str,
+    *,
+    routes: list[str] | None,
+    certificate: str | None,
 ) -> dict[str, Any]:
     try:
-        module = import_module("sgvf_drake.export.onnx")
+        from sgvf_drake.export.onnx import export_onnx
     except ImportError:
         raise ConfigurationError(
             "--to onnx needs ONNX: pip install 'sgvf-drake[onnx]'"
         ) from None
-    precision, routes, certificate = options
     if routes is not None:
         raise ConfigurationError("--route is for --to c: a graph has no automaton")
-    found: dict[str, Any] = module.export_onnx(
-        field, folder, precision=precision, certificate=certificate
-    )
-    return found
+    return export_onnx(field, folder, precision, certificate=certificate)
 
 
 def _show_c(summary: Mapping[str, Any]) -> None:
@@ -100,7 +78,7 @@ def _show_onnx(summary: Mapping[str, Any]) -> None:
 
 
 TARGETS = {
-    "c": Target(_write_c, _show_c, C_FILES, "mixed"),
+    "c": Target(export_c, _show_c, C_FILES, "mixed"),
     "onnx": Target(_write_onnx, _show_onnx, ("field.onnx", "field_jacobian.onnx"), "double"),
 }
 
@@ -157,7 +135,8 @@ def export(
     with result_folder(out, (SUMMARY, *target.files), overwrite=overwrite) as folder:
         if certificate is not None:
             found = _proved(loaded, certificate, precision)
-        facts = target.write(loaded, folder, Options(precision, route, found.get("reason")))
+        told = found.get("reason")
+        facts = target.write(loaded, folder, precision, routes=route, certificate=told)
         if found and "error" not in found and "files" in facts:
             found["reason"] += _sampled(facts, found["e_star"])
         summary = {"to": to, **origin(loaded), "speed": speed, **facts}

@@ -31,7 +31,6 @@ from sgvf_drake.fields import (
     Perceptron,
     RobustComposition,
     ScoreInducedField,
-    ScoreNetwork,
     StrandMixture,
     StrandNetwork,
 )
@@ -51,8 +50,8 @@ CHECK_POINTS, CHECK_REACH = 2000, 1.0
 def export_onnx(
     field: ScoreInducedField,
     folder: Path,
-    *,
     precision: str = "double",
+    *,
     certificate: str | None = None,
 ) -> dict[str, Any]:
     """Writes a field as `field.onnx`, m alone, and `field_jacobian.onnx`, with derivatives.
@@ -70,24 +69,25 @@ def export_onnx(
         plain values.
 
     Raises:
-        ConfigurationError: The precision is none of these, or GELU is asked for in double,
+        ConfigurationError: If the precision is none of these, or GELU is asked for in double,
             whose error function no runtime has.
     """
     if precision not in PRECISIONS:
         raise ConfigurationError(
             f"--precision cannot be {precision!r}; of onnx it is one of {', '.join(PRECISIONS)}"
         )
-    if precision == "double" and "GELU" in _activations(field):
+    model = make_model(field, PRECISIONS[precision], jacobian=False)
+    if precision == "double" and any(node.op_type == "Erf" for node in model.graph.node):
         raise ConfigurationError(
             "ONNX Runtime has no error function of double numbers, which GELU needs; export "
             "this field with --precision float"
         )
-    models = {VALUE_FILE: make_model(field, PRECISIONS[precision], jacobian=False)}
+    models = {VALUE_FILE: model}
     if precision == "int8":
         # Imported here: it is slow to import, and only eight bits need it.
         from sgvf_drake.export.quantising import quantised
 
-        models[VALUE_FILE] = quantised(models[VALUE_FILE], calibration_points(field))
+        models[VALUE_FILE] = quantised(model, calibration_points(field))
     else:
         models[JACOBIAN_FILE] = make_model(field, PRECISIONS[precision], jacobian=True)
     facts: dict[str, Any] = {
@@ -106,19 +106,6 @@ def export_onnx(
             "largest_difference": sampled_difference(field, model),
         }
     return facts
-
-
-def _activations(field: ScoreInducedField) -> set[str]:
-    """Returns the names of the activations of a field's networks."""
-    networks: list[Perceptron] = []
-    match field:
-        case DirectedField(strands=StrandNetwork(network=network)):
-            networks = [network]
-        case ComposedField(score_model=ScoreNetwork(network=network)):
-            networks = [network, field.tangent_network]
-        case ComposedField():
-            networks = [field.tangent_network]
-    return {network.activation.name for network in networks}
 
 
 def make_model(field: ScoreInducedField, dtype: Any, *, jacobian: bool) -> onnx.ModelProto:

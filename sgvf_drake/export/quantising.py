@@ -40,7 +40,7 @@ def quantised(model: onnx.ModelProto, inputs: Sequence[FloatArray]) -> onnx.Mode
         inputs: Points over which the ranges of the units are measured.
 
     Raises:
-        ConfigurationError: No layer sees units.
+        ConfigurationError: If no layer sees units.
     """
     products = _products(model)
     if not products:

@@ -8,6 +8,7 @@ import pytest
 from sgvf_drake import GuidingField, PointCloud, certify
 from sgvf_drake.certificate import (
     ARITHMETICS,
+    Certificate,
     ExportedField,
     check_exported,
     find_tube,
@@ -15,10 +16,13 @@ from sgvf_drake.certificate import (
     prove_tube,
     prove_walls,
 )
+from sgvf_drake.certificate.by_tubes import prove_by_tubes
 from sgvf_drake.certificate.field_model import PerturbedField, direction_model, model_field
 from sgvf_drake.certificate.patches import Patches
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import NormalisedComposition, PaperComposition, load_field
+from sgvf_drake.fields.storage import field_digest
+from sgvf_drake.paths import ReferencePath
 from tests.fields import random_field
 from tests.helpers import circle
 
@@ -54,8 +58,14 @@ def tube_of(field):
     return found
 
 
-def test_a_tube_and_its_first_walls_hold_with_the_errors_of_float(trained):
-    found, exported = tube_of(trained), ExportedField(trained, FLOAT)
+@pytest.fixture(scope="module")
+def found(trained):
+    """The tube and the walls of the first of its circles."""
+    return tube_of(trained)
+
+
+def test_a_tube_and_its_first_walls_hold_with_the_errors_of_float(trained, found):
+    exported = ExportedField(trained, FLOAT)
     assert prove_tube(exported, found.tube).proved
     proof = prove_walls(exported, found.tube, found.walls[:1])
     (left,), exact = proof.e_star, found.walls_proof.e_star[0]
@@ -104,6 +114,25 @@ def test_what_cannot_be_proved_is_told(trained):
         ConfigurationError, match="nothing bounds the errors of int8; of double"
     ):
         check_exported(None, trained, "int8")
+
+
+def test_a_certificate_of_one_piece_of_two_is_about_that_one(trained, found):
+    path, walls = ReferencePath(trained.path.pieces[:1]), found.walls[:1]
+    proof = prove_walls(trained, found.tube, walls)
+    known = replace(found, walls=walls, walls_proof=proof)
+    certificate = prove_by_tubes(trained, path, lambda *_: known, lambda walls: None)
+    assert certificate.certified
+    exported = check_exported(certificate, trained, "float")
+    assert exported.certified
+    (before,), (left,) = exported.e_star, exported.e_star_left
+    assert len(before) == len(left) == 1
+    assert (np.array(left) >= np.array(before) - exported.error).all()
+
+
+def test_a_certificate_of_nothing_is_refused(trained):
+    certificate = Certificate(certified=True, reason="", field_digest=field_digest(trained))
+    with pytest.raises(ConfigurationError, match="certifies nothing"):
+        check_exported(certificate, trained, "float")
 
 
 @pytest.mark.full
