@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.common.value import Value
 from pydrake.systems.framework import BasicVector_, LeafSystem_
-from pydrake.systems.scalar_conversion import TemplateSystem
 
 from sgvf_drake.arrays import FloatArray
 from sgvf_drake.exceptions import ConfigurationError
@@ -19,7 +18,6 @@ from systems.branches import Branch, BranchAlong, CheckBranches, CheckedBox, Che
 from systems.guidance import CheckFlown, DeclareCommandPorts
 from systems.quadrotor import QuadrotorParameters
 from systems.scalars import (
-    SCALARS,
     CheckFinite,
     CheckFiniteParameter,
     CheckNonNegativeParameter,
@@ -30,6 +28,7 @@ from systems.scalars import (
     ToVector,
     idle,
     remembered,
+    template,
 )
 from systems.sensing import DEFAULT_SAMPLE_PERIOD
 from systems.supervision import (
@@ -58,7 +57,7 @@ ACCELERATION_SHARE = 0.4
 errors, for the altitude and for torques."""
 
 
-@TemplateSystem.define("BranchSupervisor_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
+@template
 def BranchSupervisor_(T: type) -> Any:  # noqa: D103 (the class below says it)
     @idle
     class Impl(LeafSystem_[T]):

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 from pydrake.systems.framework import BasicVector_, LeafSystem_
-from pydrake.systems.scalar_conversion import TemplateSystem
 
 from sgvf_drake.compiling import digest, kernel
 from sgvf_drake.exceptions import ConfigurationError
@@ -19,7 +18,6 @@ from systems.quadrotor import (
     Rotors,
 )
 from systems.scalars import (
-    SCALARS,
     CheckFinite,
     CheckFiniteParameter,
     CheckNonNegativeParameter,
@@ -31,6 +29,7 @@ from systems.scalars import (
     compilable,
     idle,
     remembered,
+    template,
 )
 from systems.se3_law import Body, CalcAcceleration, CalcPropellerInput, Gains
 
@@ -198,7 +197,7 @@ def Se3Methods(T: type) -> Any:
     return Methods
 
 
-@TemplateSystem.define("Se3Controller_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
+@template
 def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
     @idle
     class Impl(Se3Methods(T), LeafSystem_[T]):  # type: ignore[misc]

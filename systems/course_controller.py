@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import pydrake.math
 from pydrake.systems.framework import BasicVector_, LeafSystem_
-from pydrake.systems.scalar_conversion import TemplateSystem
 
 from systems.planar_vehicle import (
     HEADING,
@@ -15,7 +14,6 @@ from systems.planar_vehicle import (
     PlanarVehicleParameters,
 )
 from systems.scalars import (
-    SCALARS,
     CheckFinite,
     CheckPositiveParameter,
     ConstructCopy,
@@ -27,6 +25,7 @@ from systems.scalars import (
     ToList,
     idle,
     remembered,
+    template,
 )
 
 MAX_COURSE_GAIN = 8.0
@@ -51,7 +50,7 @@ def DefaultCourseGain(parameters: PlanarVehicleParameters) -> float:
     return gain
 
 
-@TemplateSystem.define("CourseController_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
+@template
 def CourseController_(T: type) -> Any:  # noqa: D103 (the class below says it)
     @idle
     class Impl(LeafSystem_[T]):

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 from pydrake.systems.framework import BasicVector_, LeafSystem_
-from pydrake.systems.scalar_conversion import TemplateSystem
 
 from sgvf_drake.compiling import digest, kernel
 from sgvf_drake.fields.base import Field
@@ -29,7 +28,6 @@ from systems.quadrotor import (
     Rotors,
 )
 from systems.scalars import (
-    SCALARS,
     CheckFinite,
     ConstructCopy,
     ToList,
@@ -37,6 +35,7 @@ from systems.scalars import (
     compilable,
     idle,
     remembered,
+    template,
 )
 from systems.se3_law import CalcAcceleration, CalcPropellerInput, Gains
 
@@ -61,7 +60,7 @@ _MASS, _GRAVITY, _SATURATES, _FEEDS_FORWARD, _NUM_CONSTANTS = range(16, 21)
 _NOTHING = -1.0
 
 
-@TemplateSystem.define("FusedGuidance_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
+@template
 def FusedGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
     @idle
     class Impl(GuidanceSystem_[T], Se3Methods(T)):  # type: ignore[misc, valid-type]

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import BasicVector_, LeafSystem_, ValueProducer
-from pydrake.systems.scalar_conversion import TemplateSystem
 
 from sgvf_drake.compiling import digest, kernel
 from sgvf_drake.exceptions import ConfigurationError
@@ -22,7 +21,6 @@ from sgvf_drake.fields.base import (
 from sgvf_drake.fields.compiled import CompiledField, CompiledMotion
 from systems import scalars
 from systems.scalars import (
-    SCALARS,
     CheckConstant,
     CheckFinite,
     CheckFiniteParameter,
@@ -39,6 +37,7 @@ from systems.scalars import (
     compilable,
     idle,
     remembered,
+    template,
 )
 
 DEFAULT_SPEED = 0.45
@@ -112,7 +111,7 @@ def _ApproachLength(field: Field, speed: Scalar, max_approach_rate: float) -> fl
     return max(field.approach_length, ToFloat(speed) / max_approach_rate)
 
 
-@TemplateSystem.define("GuidanceSystem_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
+@template
 def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
     @idle
     class Impl(LeafSystem_[T]):

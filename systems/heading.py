@@ -6,11 +6,9 @@ from typing import Any
 import numpy as np
 import pydrake.math
 from pydrake.systems.framework import BasicVector_, LeafSystem_
-from pydrake.systems.scalar_conversion import TemplateSystem
 
 from sgvf_drake.exceptions import ConfigurationError
 from systems.scalars import (
-    SCALARS,
     CheckFinite,
     CheckFiniteParameter,
     ConstructCopy,
@@ -20,6 +18,7 @@ from systems.scalars import (
     ToVector,
     idle,
     remembered,
+    template,
 )
 from systems.se3_law import SLOW_SPEED
 from systems.sensing import DEFAULT_SAMPLE_PERIOD
@@ -28,7 +27,7 @@ NEAR = 0.1
 """m; nearer to a point than this, its direction is not known well enough to turn there."""
 
 
-@TemplateSystem.define("HeadingSystem_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
+@template
 def HeadingSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
     @idle
     class Impl(LeafSystem_[T]):

@@ -13,7 +13,6 @@ from pydrake.systems.framework import (
     LeafSystem_,
 )
 from pydrake.systems.primitives import Integrator, LogVectorOutput
-from pydrake.systems.scalar_conversion import TemplateSystem
 
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
 from sgvf_drake.fields.base import Field, MotionField
@@ -21,7 +20,6 @@ from sgvf_drake.paths.navigator import Navigator
 from systems.lyapunov_monitor import AddLyapunovMonitor, DifferentiableFunction
 from systems.navigation import RouteNavigator
 from systems.scalars import (
-    SCALARS,
     CheckFiniteAgents,
     CheckNonNegativeParameter,
     ConstructCopy,
@@ -29,13 +27,14 @@ from systems.scalars import (
     Scalar,
     idle,
     remembered,
+    template,
 )
 
 DEFAULT_NAVIGATION_PERIOD = 0.01
 """s; at unit speed and a noise level of a tenth, agents are looked at ten times in it."""
 
 
-@TemplateSystem.define("KinematicGuidance_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
+@template
 def KinematicGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
     @idle
     class Impl(LeafSystem_[T]):

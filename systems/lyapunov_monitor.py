@@ -15,12 +15,10 @@ from pydrake.systems.framework import (
     System,
 )
 from pydrake.systems.primitives import LogVectorOutput
-from pydrake.systems.scalar_conversion import TemplateSystem
 
 from sgvf_drake.arrays import FloatArray
 from sgvf_drake.exceptions import ConfigurationError
 from systems.scalars import (
-    SCALARS,
     CheckFiniteAgents,
     ConstructCopy,
     Join,
@@ -29,6 +27,7 @@ from systems.scalars import (
     ToFloat,
     idle,
     remembered,
+    template,
 )
 
 
@@ -49,7 +48,7 @@ class DifferentiableFunction(Protocol):
         """Returns grad V (n, d) and its Jacobian (n, d, d); only needed under AutoDiffXd."""
 
 
-@TemplateSystem.define("LyapunovMonitor_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
+@template
 def LyapunovMonitor_(T: type) -> Any:  # noqa: D103 (the class below says it)
     @idle
     class Impl(LeafSystem_[T]):

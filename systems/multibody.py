@@ -18,7 +18,6 @@ from pydrake.multibody.plant import (
 )
 from pydrake.multibody.tree import ModelInstanceIndex, RigidBody
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem_, System
-from pydrake.systems.scalar_conversion import TemplateSystem
 
 from sgvf_drake.exceptions import ConfigurationError
 from systems.disturbances import Disturbance
@@ -33,13 +32,13 @@ from systems.quadrotor import (
     QuadrotorParameters,
 )
 from systems.scalars import (
-    SCALARS,
     CheckFinite,
     ConstructCopy,
     Sqrt,
     ToList,
     idle,
     remembered,
+    template,
 )
 from systems.vehicle import Quadrotor
 
@@ -57,7 +56,7 @@ OFF_CENTRE = 1e-6
 moment, that are rounding."""
 
 
-@TemplateSystem.define("FloatingBodyState_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
+@template
 def FloatingBodyState_(T: type) -> Any:  # noqa: D103 (the class below says it)
     @idle
     class Impl(LeafSystem_[T]):

@@ -4,12 +4,10 @@ from typing import Any
 
 import numpy as np
 from pydrake.systems.framework import BasicVector_, EventStatus, LeafSystem_
-from pydrake.systems.scalar_conversion import TemplateSystem
 
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.paths.navigator import Navigator, NavigatorState
 from systems.scalars import (
-    SCALARS,
     CheckFiniteAgents,
     CheckPositiveParameter,
     ConstructCopy,
@@ -17,10 +15,11 @@ from systems.scalars import (
     ToVector,
     idle,
     remembered,
+    template,
 )
 
 
-@TemplateSystem.define("RouteNavigator_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
+@template
 def RouteNavigator_(T: type) -> Any:  # noqa: D103 (the class below says it)
     @idle
     class Impl(LeafSystem_[T]):

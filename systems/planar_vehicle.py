@@ -4,11 +4,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem_
-from pydrake.systems.scalar_conversion import TemplateSystem
 
 from systems.disturbances import AddWind, Disturbance
 from systems.scalars import (
-    SCALARS,
     CheckFinite,
     CheckNonNegativeParameter,
     CheckPositiveParameter,
@@ -19,6 +17,7 @@ from systems.scalars import (
     ToList,
     ToVector,
     remembered,
+    template,
 )
 
 PLANAR_STATE_SIZE = 7
@@ -60,7 +59,7 @@ class PlanarVehicleParameters:
         return self.airspeed / self.max_turn_rate
 
 
-@TemplateSystem.define("PlanarVehicle_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
+@template
 def PlanarVehicle_(T: type) -> Any:  # noqa: D103 (the class below says it)
     class Impl(LeafSystem_[T]):
         """Moves at a constant airspeed along its heading, and turns as fast as it can.

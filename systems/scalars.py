@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 import functools
 import inspect
 import math
+import sys
 from typing import Any
 
 from numba.extending import overload, register_jitable
@@ -17,6 +18,7 @@ import pydrake.autodiffutils
 from pydrake.autodiffutils import AutoDiffXd
 import pydrake.math
 from pydrake.systems.framework import LeafSystem
+from pydrake.systems.scalar_conversion import TemplateSystem
 
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
 from sgvf_drake.fields.base import Field
@@ -59,6 +61,14 @@ overload(Sqrt)(lambda x: lambda x: math.sqrt(x))
 overload(Sin)(lambda x: lambda x: math.sin(x))
 overload(Cos)(lambda x: lambda x: math.cos(x))
 overload(Tanh)(lambda x: lambda x: math.tanh(x))
+
+
+def template(instantiate: Callable[[type], Any]) -> Any:
+    """Makes a function from a scalar type to a system's class the template of that system."""
+    # Drake would look for the module on the whole stack, which takes a fifth of a second.
+    scope = sys.modules[instantiate.__module__]
+    define: Any = TemplateSystem.define
+    return define(instantiate.__name__, T_list=SCALARS, scope=scope)(instantiate)
 
 
 def remembered(construct: Callable[..., None]) -> Callable[..., None]:

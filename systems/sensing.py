@@ -21,12 +21,11 @@ from pydrake.systems.primitives import (
     RandomSource,
     ZeroOrderHold,
 )
-from pydrake.systems.scalar_conversion import TemplateSystem
 
 from sgvf_drake.exceptions import ConfigurationError
 from systems.context_matrix import AddMatrix, SetMatrix
 from systems.quadrotor import ATTITUDE, POSITION, RATES, STATE_SIZE, VELOCITY
-from systems.scalars import SCALARS, ConstructCopy, ToFloat, idle, remembered
+from systems.scalars import ConstructCopy, ToFloat, idle, remembered, template
 from systems.selections import AddConcatenation, AddSelections
 from systems.state_estimator import DEFAULT_BANDWIDTH, StateEstimator
 
@@ -297,7 +296,7 @@ def DrawNoise(diagram: Diagram, context: Context, generator: RandomGenerator) ->
             )
 
 
-@TemplateSystem.define("Dropout_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
+@template
 def Dropout_(T: type) -> Any:  # noqa: D103 (the class below says it)
     @idle
     class Impl(LeafSystem_[T]):

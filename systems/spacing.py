@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.systems.framework import BasicVector_, DiagramBuilder, EventStatus, LeafSystem_
-from pydrake.systems.scalar_conversion import TemplateSystem
 
 from sgvf_drake.arrays import FloatArray, IntArray
 from sgvf_drake.exceptions import ConfigurationError
@@ -15,7 +14,6 @@ from systems.branches import Branch
 from systems.guidance import GuidanceSystem
 from systems.guidance_loop import GuidanceLoop
 from systems.scalars import (
-    SCALARS,
     CheckFiniteAgents,
     CheckFiniteParameter,
     CheckPositiveParameter,
@@ -24,6 +22,7 @@ from systems.scalars import (
     ToVector,
     idle,
     remembered,
+    template,
 )
 
 DEFAULT_SPACING_GAIN = 0.25
@@ -67,7 +66,7 @@ class Pace(NamedTuple):
         return cls(MEAN_SHARE * fastest, SLOWEST_SHARE * fastest, fastest)
 
 
-@TemplateSystem.define("SpacingController_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
+@template
 def SpacingController_(T: type) -> Any:  # noqa: D103 (the class below says it)
     @idle
     class Impl(LeafSystem_[T]):

@@ -5,10 +5,8 @@ from typing import Any
 
 import numpy as np
 from pydrake.systems.framework import BasicVector_, LeafSystem_
-from pydrake.systems.scalar_conversion import TemplateSystem
 
 from systems.scalars import (
-    SCALARS,
     CheckFinite,
     CheckNonNegativeParameter,
     CheckPositiveParameter,
@@ -19,6 +17,7 @@ from systems.scalars import (
     ToVector,
     idle,
     remembered,
+    template,
 )
 
 DEFAULT_BANDWIDTH = 25.0
@@ -34,7 +33,7 @@ _AGE, _TIME, _PHASE, _STATE_SIZE = 9, 10, 11, 12
 _NEW, _WAITING, _STARTED = 0.0, 1.0, 2.0
 
 
-@TemplateSystem.define("StateEstimator_", T_list=SCALARS)  # type: ignore[untyped-decorator, no-untyped-call]
+@template
 def StateEstimator_(T: type) -> Any:  # noqa: D103 (the class below says it)
     @idle
     class Impl(LeafSystem_[T]):

@@ -1,6 +1,6 @@
 """Drake's own ways of writing a system, as mkdocstrings reads them.
 
-A system for several scalar types is a class inside a function that a TemplateSystem decorates,
+A system for several scalar types is a class inside a function that `template` decorates,
 and its ports stand in a directive of Drake's documentation.  Read as plain Python, the first is
 an assignment without a docstring, and the second is text.
 """
@@ -43,7 +43,7 @@ class DrakeDocstrings(griffe.Extension):
 
 
 def _is_template(function: ast.FunctionDef) -> bool:
-    return any("TemplateSystem.define" in ast.unparse(d) for d in function.decorator_list)
+    return any(ast.unparse(d) == "template" for d in function.decorator_list)
 
 
 def _documented(template: str, name: str, line: int) -> ast.stmt:
