@@ -6,6 +6,7 @@ compiled code calls it.
 """
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 import functools
 import inspect
 import math
@@ -65,10 +66,17 @@ overload(Tanh)(lambda x: lambda x: math.tanh(x))
 
 def template(instantiate: Callable[[type], Any]) -> Any:
     """Makes a function from a scalar type to a system's class the template of that system."""
-    # Drake would look for the module on the whole stack, which takes a fifth of a second.
-    scope = sys.modules[instantiate.__module__]
     define: Any = TemplateSystem.define
-    return define(instantiate.__name__, T_list=SCALARS, scope=scope)(instantiate)
+    scope = sys.modules[instantiate.__module__]
+
+    def defined() -> Any:
+        made = define(instantiate.__name__, T_list=SCALARS, scope=scope)(instantiate)
+        made.get_instantiation(float)
+        return made
+
+    # For each class, Drake reads the sources of all callers, of which a thread has few.
+    with ThreadPoolExecutor(1) as thread:
+        return thread.submit(defined).result()
 
 
 def remembered(construct: Callable[..., None]) -> Callable[..., None]:
