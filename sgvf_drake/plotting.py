@@ -21,6 +21,8 @@ from sgvf_drake.fields import Field
 BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
 GREY = "#808080"
 STREAM_RESOLUTION = 60
+# Of stream lines, in matplotlib's unit.
+STREAM_DENSITY = 1.6
 MAX_TRAJECTORIES = 60
 # More waypoints than this are drawn smaller, so that what follows them still shows.
 FEW_WAYPOINTS = 400
@@ -85,9 +87,8 @@ def plot_field(axes: Axes, field: Field, box: Box) -> Sequence[Artist]:
     """Draws the stream lines of a planar field over a box."""
     x, y, points = plane_grid(box, STREAM_RESOLUTION)
     m = field(points).reshape(len(y), len(x), 2)
-    lines = axes.streamplot(
-        x, y, m[..., 0], m[..., 1], color="#9fb0bb", density=1.6, linewidth=0.6, arrowsize=0.7
-    )
+    style = {"color": "#9fb0bb", "linewidth": 0.6, "arrowsize": 0.7}
+    lines = axes.streamplot(x, y, m[..., 0], m[..., 1], density=STREAM_DENSITY, **style)
     axes.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
     return [lines.lines]
 

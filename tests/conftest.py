@@ -8,6 +8,7 @@ import json
 from hypothesis import settings
 import pytest
 
+from sgvf_drake import plotting
 from sgvf_drake.clouds import PointCloud
 from sgvf_drake.fields import load_field
 from sgvf_drake.paths import make_shape
@@ -20,6 +21,14 @@ settings.register_profile("without a deadline", deadline=None)
 settings.load_profile("without a deadline")
 
 RECIPES = ("robust", "exact", "paper")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def few_stream_lines():
+    """Draws few of them behind what a picture shows: each takes as long as a flight."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(plotting, "STREAM_DENSITY", 0.3)
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -12,6 +12,9 @@ from sgvf_drake import plotting
 
 TIMES = np.linspace(0.0, 10.0, 101)
 
+# As users have it; see `few_stream_lines`.
+DENSITY = plotting.STREAM_DENSITY
+
 
 class Rotation:
     """Counter-clockwise around the origin."""
@@ -69,7 +72,8 @@ def test_figures_have_axes_row_by_row_and_stay_out_of_pyplot(axes):
     assert (axes.get_title(), axes.get_aspect()) == ("a title", 1.0)
 
 
-def test_field(axes):
+def test_field(axes, monkeypatch):
+    monkeypatch.setattr(plotting, "STREAM_DENSITY", DENSITY)
     lower, upper = np.array([-2.0, -1.0]), np.array([2.0, 3.0])
     (lines,) = plotting.plot_field(axes, Rotation(), (lower, upper))
     assert len(lines.get_segments()) > 10
