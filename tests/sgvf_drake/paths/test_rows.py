@@ -41,7 +41,9 @@ def is_unsure_or_right(points: Array, rows: int, distance: float) -> bool:
     return right or network.unsure is not None
 
 
-@pytest.mark.parametrize("rows", [3, 6, pytest.param(14, marks=pytest.mark.full)])
+@pytest.mark.parametrize(
+    "rows", [3, *(pytest.param(rows, marks=pytest.mark.full) for rows in (6, 14))]
+)
 @pytest.mark.parametrize("distance", [1.0, 1.5, 2.0])
 @pytest.mark.parametrize("turns", [False, True])
 def test_near_rows_are_never_wrong_and_sure(rows: int, distance: float, turns: bool) -> None:
@@ -81,7 +83,9 @@ def test_scatter_about_a_line_is_no_row(seed: int, dim: int) -> None:
     assert topology(network) == STRAND
 
 
-@pytest.mark.parametrize("count", [300, 1_000, pytest.param(5_000, marks=pytest.mark.full)])
+@pytest.mark.parametrize(
+    "count", [300, *(pytest.param(count, marks=pytest.mark.full) for count in (1_000, 5_000))]
+)
 def test_lanes_far_apart_for_their_scatter_are_no_line(count: int) -> None:
     """They are eight times their scatter from each other, with waypoints at random."""
     rng = np.random.default_rng(0)
