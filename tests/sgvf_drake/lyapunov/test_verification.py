@@ -110,12 +110,12 @@ def test_a_tangent_without_direction_is_found(ring_field, linear):
     # from a source at (-4, 0) to a sink at (4, 0).
     east = linear(np.zeros((2, 2)))
     east = replace(east, biases=(np.array([0.5, 0.0]),))
-    field, path = ring_field(tangent=east, composition="paper")
+    field, path = ring_field(tangent=east, composition="paper", **COARSE)
     found = verify(field, path, ratios=ONE)
     assert not found.holds
     counting = [v for v in found.violations if v.counts and v.kind == "zero"]
     # Where s and v cancel, tanh(k d / sigma^2) = 1/2 beside the ring.
-    d = 0.1**2 / 0.2 * np.arctanh(0.5)
+    d = COARSE["sigma"] ** 2 / 0.2 * np.arctanh(0.5)
     assert [violation.detail for violation in counting[:1]] == ["sink"]
     np.testing.assert_allclose(counting[0].point, [4 + d, 0], atol=0.01)
     saddles = [v.point for v in counting if v.detail == "saddle"]
