@@ -9,12 +9,10 @@ from hypothesis import settings
 import pytest
 
 from sgvf_drake import plotting
-from sgvf_drake.clouds import PointCloud
 from sgvf_drake.fields import load_field
 from sgvf_drake.paths import make_shape
-from tests.data.make import field_file, open_circle
+from tests.data.make import field_file, network_cloud, open_circle
 from tests.fields import random_field, random_perceptron
-from tests.networks import SHAPES
 
 # Machines are noisy: no test asserts a time, neither does one of hypothesis.
 settings.register_profile("without a deadline", deadline=None)
@@ -67,25 +65,17 @@ open_field = stored_field_fixture("open")
 half_circle_field = stored_field_fixture("half_circle")
 
 
-def directed_field(name, size=6.0, count=300):
-    """An exact field of a shape of tests/networks.py, of a size in m, at the origin."""
+# Directed fields of a T, a bar of 6 m with a stem of 3 m below it, and of an eight, 6 m wide.
+tee_field = stored_field_fixture("tee")
+eight_field = stored_field_fixture("eight")
+
+
+def directed_field(name):
+    """An exact field of a network, trained anew; see `network_cloud`."""
     from sgvf_drake.learning import TrainingConfig, train
 
-    points = SHAPES[name].sample(count, 0.0, random=False, seed=0) * size / 8
-    points -= (points.min(axis=0) + points.max(axis=0)) / 2
-    return train(PointCloud(points), TrainingConfig(recipe="exact", max_restarts=0)).field
-
-
-@pytest.fixture(scope="session")
-def tee_field():
-    """A directed field of a T: a bar of 6 m with a stem of 3 m below it."""
-    return directed_field("T")
-
-
-@pytest.fixture(scope="session")
-def eight_field():
-    """A directed field of an eight, 6 m wide."""
-    return directed_field("eight")
+    config = TrainingConfig(recipe="exact", max_restarts=0)
+    return train(network_cloud(name), config).field
 
 
 @pytest.fixture(scope="session")

@@ -16,6 +16,7 @@ import numpy as np
 
 from sgvf_drake.clouds import PointCloud
 from sgvf_drake.paths import make_shape
+from tests.networks import SHAPES
 
 FOLDER = Path(__file__).parent / "fields"
 
@@ -31,6 +32,12 @@ def half_circle() -> PointCloud:
     """Half of a circle of 4 m radius, from (-4, 0) over (0, 4) to (4, 0), in this order."""
     angle = np.linspace(np.pi, 0, 80)
     return PointCloud(4.0 * np.column_stack([np.cos(angle), np.sin(angle)]))
+
+
+def network_cloud(name: str) -> PointCloud:
+    """A shape of tests/networks.py, 6 m wide, about the origin."""
+    points = SHAPES[name].sample(300, 0.0, random=False, seed=0) * 6.0 / 8.0
+    return PointCloud(points - (points.min(axis=0) + points.max(axis=0)) / 2)
 
 
 @dataclass(frozen=True)
@@ -59,6 +66,8 @@ FIELDS = {
     "half_circle": StoredField(
         half_circle, {"recipe": "exact", "open": True, "direction": "reverse"}
     ),
+    "tee": StoredField(lambda: network_cloud("T"), {"recipe": "exact"}),
+    "eight": StoredField(lambda: network_cloud("eight"), {"recipe": "exact"}),
 }
 """The stored fields by name; all of seed 0."""
 
