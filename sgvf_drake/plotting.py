@@ -87,7 +87,7 @@ def plot_field(axes: Axes, field: Field, box: Box) -> Sequence[Artist]:
     """Draws the stream lines of a planar field over a box."""
     x, y, points = plane_grid(box, STREAM_RESOLUTION)
     m = field(points).reshape(len(y), len(x), 2)
-    style = {"color": "#9fb0bb", "linewidth": 0.6, "arrowsize": 0.7}
+    style: dict[str, Any] = {"color": "#9fb0bb", "linewidth": 0.6, "arrowsize": 0.7}
     lines = axes.streamplot(x, y, m[..., 0], m[..., 1], density=STREAM_DENSITY, **style)
     axes.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
     return [lines.lines]
