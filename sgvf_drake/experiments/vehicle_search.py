@@ -503,7 +503,7 @@ def sentence(result: VehicleResult, reason: str) -> str:
         result: What is proved.
         reason: Why nothing was proposed.
     """
-    speed = f"at {result.law.speed:g} m/s"
+    speed, g = f"at {result.law.speed:g} m/s", result.law.gravity
     if result.proved:
         widths, starts = [], []
         for piece in result.pieces:
@@ -511,7 +511,7 @@ def sentence(result: VehicleResult, reason: str) -> str:
             start = piece.proposal.start
             assert piece.half_width is not None
             widths.append(piece.half_width)
-            starts.append((start.across, start.rho / 9.81, start.sigma / 9.81))
+            starts.append((start.across, start.rho / g, start.sigma / g))
         error, tilt, rate = np.min(starts, axis=0).tolist()
         return (
             f"the quadrotor follows the path {speed} within {max(widths):.3g} m, from every "
