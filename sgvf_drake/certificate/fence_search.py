@@ -51,8 +51,9 @@ def fences_around_zeros(field: GuidingField) -> list[Fence]:
     for zero in zeros:
         place = field.cloud.normalize(zero.point)
         jacobian = field.cloud.unit_length * field.value_and_jacobian(zero.point[None])[1][0]
-        rates, directions = np.linalg.eig(jacobian)
-        if zero.kind == "focus" and rates.real.min() > 0:
+        # Those of a saddle are real, but NumPy may hold them as complex numbers.
+        rates, directions = (one.real for one in np.linalg.eig(jacobian))
+        if zero.kind == "focus" and rates.min() > 0:
             found.append(_around_focus(place, jacobian))
         elif zero.kind == "saddle":
             found.append(_around_saddle(field, place, directions[:, np.argmin(rates)]))
