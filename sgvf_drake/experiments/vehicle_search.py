@@ -477,7 +477,7 @@ def told(result: VehicleResult, answer: VehicleAnswer | None) -> dict[str, Any]:
     pieces = [None if piece is None else asdict(piece) for piece in result.pieces]
     return {
         "proved": result.proved,
-        "sentence": sentence(result, "" if answer is None else answer.reason),
+        "sentence": sentence(result, NOTHING if answer is None else answer.reason),
         "speed_m_s": result.law.speed,
         "approach_rate_1_s": None if answer is None else answer.approach_rate,
         "disturbance_m_s2": result.disturbance,
@@ -487,6 +487,7 @@ def told(result: VehicleResult, answer: VehicleAnswer | None) -> dict[str, Any]:
     }
 
 
+NOTHING = "nothing was proposed"
 NOT_COVERED = (
     "the hold of the 100 Hz loop: the law is taken to act in continuous time",
     "the estimator, sensors and delays: the state is taken to be known",
