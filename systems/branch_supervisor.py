@@ -22,12 +22,9 @@ from systems.scalars import (
     CheckFiniteParameter,
     CheckNonNegativeParameter,
     CheckPositiveParameter,
-    ConstructCopy,
     ToFloat,
     ToList,
     ToVector,
-    idle,
-    remembered,
     template,
 )
 from systems.sensing import DEFAULT_SAMPLE_PERIOD
@@ -59,7 +56,6 @@ errors, for the altitude and for torques."""
 
 @template
 def BranchSupervisor_(T: type) -> Any:  # noqa: D103 (the class below says it)
-    @idle
     class Impl(LeafSystem_[T]):
         """Flies from branch to branch of a path, and stops, slows down or lands in need.
 
@@ -149,7 +145,6 @@ def BranchSupervisor_(T: type) -> Any:  # noqa: D103 (the class below says it)
             NonFiniteValueError: on evaluation, where an input is not finite.
         """
 
-        @remembered
         def _construct(
             self,
             field: Field,
@@ -160,9 +155,7 @@ def BranchSupervisor_(T: type) -> Any:  # noqa: D103 (the class below says it)
             box: tuple[ArrayLike, ArrayLike] | None = None,
             landing_height: float = 0.0,
             period: float = DEFAULT_SAMPLE_PERIOD,
-            converter: Any = None,
         ) -> None:
-            LeafSystem_[T].__init__(self, converter=converter)
             CheckFlown(field)
             corners = CheckedBox(box, field.dim)
             CheckBranches(branches, field.dim, corners)
@@ -204,8 +197,6 @@ def BranchSupervisor_(T: type) -> Any:  # noqa: D103 (the class below says it)
             self._memory_index = self.DeclareDiscreteState(BasicVector_[T](start.tolist()))
             self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._Update)
             self._DeclareOutputs()
-
-        _construct_copy = ConstructCopy
 
         def _DeclareOutputs(self) -> None:
             memory = self.discrete_state_ticket(self._memory_index)

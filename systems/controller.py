@@ -22,13 +22,10 @@ from systems.scalars import (
     CheckFiniteParameter,
     CheckNonNegativeParameter,
     CheckPositiveParameter,
-    ConstructCopy,
     ToFloat,
     ToList,
     ToVector,
     compilable,
-    idle,
-    remembered,
     template,
 )
 from systems.se3_law import Body, CalcAcceleration, CalcPropellerInput, Gains
@@ -199,7 +196,6 @@ def Se3Methods(T: type) -> Any:
 
 @template
 def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
-    @idle
     class Impl(Se3Methods(T), LeafSystem_[T]):  # type: ignore[misc]
         """Flies a quadrotor at a commanded velocity by geometric control on SE(3).
 
@@ -257,15 +253,12 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
             NonFiniteValueError: on evaluation, where an input or a force is not finite.
         """
 
-        @remembered
         def _construct(
             self,
             parameters: QuadrotorParameters | None = None,
             gains: Gains = DEFAULT_GAINS,
             saturate: bool = True,
-            converter: Any = None,
         ) -> None:
-            LeafSystem_[T].__init__(self, converter=converter)
             self._state = self.DeclareVectorInputPort("state", STATE_SIZE)
             self._velocity_command = self.DeclareVectorInputPort("velocity_command", 3)
             self._acceleration_feedforward = self.DeclareVectorInputPort(
@@ -274,8 +267,6 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
             self._DeclareController(
                 {self.all_input_ports_ticket()}, parameters, gains, saturate
             )
-
-        _construct_copy = ConstructCopy
 
     return Impl
 

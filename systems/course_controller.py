@@ -16,15 +16,12 @@ from systems.planar_vehicle import (
 from systems.scalars import (
     CheckFinite,
     CheckPositiveParameter,
-    ConstructCopy,
     Cos,
     Scalar,
     Sin,
     Sqrt,
     ToFloat,
     ToList,
-    idle,
-    remembered,
     template,
 )
 
@@ -52,7 +49,6 @@ def DefaultCourseGain(parameters: PlanarVehicleParameters) -> float:
 
 @template
 def CourseController_(T: type) -> Any:  # noqa: D103 (the class below says it)
-    @idle
     class Impl(LeafSystem_[T]):
         """Turns a vehicle of constant airspeed onto the course of a velocity command.
 
@@ -106,14 +102,11 @@ def CourseController_(T: type) -> Any:  # noqa: D103 (the class below says it)
             NonFiniteValueError: on evaluation, where an input is not finite.
         """
 
-        @remembered
         def _construct(
             self,
             parameters: PlanarVehicleParameters,
             gain: float | None = None,
-            converter: Any = None,
         ) -> None:
-            LeafSystem_[T].__init__(self, converter=converter)
             gain = DefaultCourseGain(parameters) if gain is None else gain
             CheckPositiveParameter("gain", gain)
             self._parameters = parameters
@@ -130,8 +123,6 @@ def CourseController_(T: type) -> Any:  # noqa: D103 (the class below says it)
                 ("lateral_acceleration", self._CalcLateralAcceleration),
             ):
                 self.DeclareVectorOutputPort(name, 1, calc, sources)
-
-        _construct_copy = ConstructCopy
 
         @property
         def parameters(self) -> PlanarVehicleParameters:

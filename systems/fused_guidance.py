@@ -4,7 +4,7 @@ import math
 from typing import Any
 
 import numpy as np
-from pydrake.systems.framework import BasicVector_, LeafSystem_
+from pydrake.systems.framework import BasicVector_
 
 from sgvf_drake.compiling import digest, kernel
 from sgvf_drake.fields.base import Field
@@ -29,12 +29,9 @@ from systems.quadrotor import (
 )
 from systems.scalars import (
     CheckFinite,
-    ConstructCopy,
     ToList,
     ToVector,
     compilable,
-    idle,
-    remembered,
     template,
 )
 from systems.se3_law import CalcAcceleration, CalcPropellerInput, Gains
@@ -62,7 +59,6 @@ _NOTHING = -1.0
 
 @template
 def FusedGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
-    @idle
     class Impl(GuidanceSystem_[T], Se3Methods(T)):  # type: ignore[misc, valid-type]
         """Is a `GuidanceSystem` and the controller that it commands, evaluated in one call.
 
@@ -118,7 +114,6 @@ def FusedGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
             NonFiniteValueError: on evaluation, as in the two.
         """
 
-        @remembered
         def _construct(
             self,
             field: Field,
@@ -129,9 +124,7 @@ def FusedGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
             parameters: QuadrotorParameters | None = None,
             gains: Gains = DEFAULT_GAINS,
             saturate: bool = True,
-            converter: Any = None,
         ) -> None:
-            LeafSystem_[T].__init__(self, converter=converter)
             self._state = self.DeclareVectorInputPort("state", STATE_SIZE)
             measured = {self.input_port_ticket(self._state.get_index())}
             self.DeclareVectorOutputPort("position", 3, self._CopyPosition, measured)
@@ -160,8 +153,6 @@ def FusedGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
                 self._CalcEvaluation,
                 {*sources, self.all_parameters_ticket()},
             )
-
-        _construct_copy = ConstructCopy
 
         def _CalcConstants(self, context: Any, constants: Any) -> None:
             guiding, vehicle = self._ReadParameters(context), self._parameters

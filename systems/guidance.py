@@ -26,7 +26,6 @@ from systems.scalars import (
     CheckFiniteParameter,
     CheckNonNegativeParameter,
     CheckPositiveParameter,
-    ConstructCopy,
     EvalField,
     MakeMoving,
     Scalar,
@@ -35,8 +34,6 @@ from systems.scalars import (
     ToList,
     ToVector,
     compilable,
-    idle,
-    remembered,
     template,
 )
 
@@ -113,7 +110,6 @@ def _ApproachLength(field: Field, speed: Scalar, max_approach_rate: float) -> fl
 
 @template
 def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
-    @idle
     class Impl(LeafSystem_[T]):
         """Commands the velocity that follows a guiding vector field.
 
@@ -178,7 +174,6 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             NonFiniteValueError: on evaluation, where an input or the field is not finite.
         """
 
-        @remembered
         def _construct(
             self,
             field: Field,
@@ -186,9 +181,7 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             altitude: float = DEFAULT_ALTITUDE,
             feedforward: bool = True,
             max_approach_rate: float = MAX_APPROACH_RATE,
-            converter: Any = None,
         ) -> None:
-            LeafSystem_[T].__init__(self, converter=converter)
             self._position = self.DeclareVectorInputPort("position", 3)
             self._velocity = self.DeclareVectorInputPort("velocity", 3)
             motion = {
@@ -198,8 +191,6 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             self._DeclareGuidance(
                 motion, field, speed, altitude, feedforward, max_approach_rate
             )
-
-        _construct_copy = ConstructCopy
 
         def _DeclareGuidance(
             self,

@@ -11,13 +11,10 @@ from sgvf_drake.exceptions import ConfigurationError
 from systems.scalars import (
     CheckFinite,
     CheckFiniteParameter,
-    ConstructCopy,
     Scalar,
     ToFloat,
     ToList,
     ToVector,
-    idle,
-    remembered,
     template,
 )
 from systems.se3_law import SLOW_SPEED
@@ -29,7 +26,6 @@ NEAR = 0.1
 
 @template
 def HeadingSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
-    @idle
     class Impl(LeafSystem_[T]):
         """Tells a vehicle where to look: along its path, or towards a point.
 
@@ -59,11 +55,7 @@ def HeadingSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             NonFiniteValueError: on evaluation, where an input is not finite.
         """
 
-        @remembered
-        def _construct(
-            self, point: tuple[float, float] | None = None, converter: Any = None
-        ) -> None:
-            LeafSystem_[T].__init__(self, converter=converter)
+        def _construct(self, point: tuple[float, float] | None = None) -> None:
             if point is not None:
                 if len(point) != 2:
                     raise ConfigurationError(f"point must have 2 values, got {len(point)}")
@@ -80,8 +72,6 @@ def HeadingSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
                 {self.all_input_ports_ticket(), self.discrete_state_ticket(self._kept)},
             )
             self.DeclarePeriodicDiscreteUpdateEvent(DEFAULT_SAMPLE_PERIOD, 0.0, self._Keep)
-
-        _construct_copy = ConstructCopy
 
         def SetHeading(self, context: Any, heading: Scalar) -> None:
             """Sets the heading in rad that is kept; this system's own Context is wanted."""

@@ -22,11 +22,8 @@ from systems.navigation import RouteNavigator
 from systems.scalars import (
     CheckFiniteAgents,
     CheckNonNegativeParameter,
-    ConstructCopy,
     EvalFieldValue,
     Scalar,
-    idle,
-    remembered,
     template,
 )
 
@@ -36,7 +33,6 @@ DEFAULT_NAVIGATION_PERIOD = 0.01
 
 @template
 def KinematicGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
-    @idle
     class Impl(LeafSystem_[T]):
         """Moves n agents along a guiding vector field with one call of the field.
 
@@ -69,15 +65,12 @@ def KinematicGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
                 finite; the message names the agent.
         """
 
-        @remembered
         def _construct(
             self,
             field: Field,
             num_agents: int = 1,
             speed: float = 1.0,
-            converter: Any = None,
         ) -> None:
-            LeafSystem_[T].__init__(self, converter=converter)
             if num_agents < 1:
                 raise ConfigurationError(f"num_agents must be at least 1, got {num_agents}")
             CheckNonNegativeParameter("speed", speed)
@@ -96,8 +89,6 @@ def KinematicGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
                 self._CalcVelocities,
                 {self.all_input_ports_ticket(), self.all_parameters_ticket()},
             )
-
-        _construct_copy = ConstructCopy
 
         @property
         def num_agents(self) -> int:

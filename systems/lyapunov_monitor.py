@@ -20,13 +20,10 @@ from sgvf_drake.arrays import FloatArray
 from sgvf_drake.exceptions import ConfigurationError
 from systems.scalars import (
     CheckFiniteAgents,
-    ConstructCopy,
     Join,
     Scalar,
     Split,
     ToFloat,
-    idle,
-    remembered,
     template,
 )
 
@@ -50,7 +47,6 @@ class DifferentiableFunction(Protocol):
 
 @template
 def LyapunovMonitor_(T: type) -> Any:  # noqa: D103 (the class below says it)
-    @idle
     class Impl(LeafSystem_[T]):
         """Evaluates a Lyapunov function V along the motion of n agents.
 
@@ -91,16 +87,13 @@ def LyapunovMonitor_(T: type) -> Any:  # noqa: D103 (the class below says it)
                 not finite; the message names the agent.
         """
 
-        @remembered
         def _construct(
             self,
             function: DifferentiableFunction,
             num_agents: int = 1,
             level: float = math.inf,
             state_size: int | None = None,
-            converter: Any = None,
         ) -> None:
-            LeafSystem_[T].__init__(self, converter=converter)
             dim = function.dim
             state_size = dim if state_size is None else state_size
             if num_agents < 1:
@@ -125,8 +118,6 @@ def LyapunovMonitor_(T: type) -> Any:  # noqa: D103 (the class below says it)
             self.DeclareVectorOutputPort(
                 "margin", num_agents, self._CalcMargin, {state, self.all_parameters_ticket()}
             )
-
-        _construct_copy = ConstructCopy
 
         @property
         def function(self) -> DifferentiableFunction:

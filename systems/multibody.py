@@ -33,11 +33,8 @@ from systems.quadrotor import (
 )
 from systems.scalars import (
     CheckFinite,
-    ConstructCopy,
     Sqrt,
     ToList,
-    idle,
-    remembered,
     template,
 )
 from systems.vehicle import Quadrotor
@@ -58,7 +55,6 @@ moment, that are rounding."""
 
 @template
 def FloatingBodyState_(T: type) -> Any:  # noqa: D103 (the class below says it)
-    @idle
     class Impl(LeafSystem_[T]):
         """Tells the state of a floating body of a MultibodyPlant as QuadrotorPlant does.
 
@@ -80,9 +76,7 @@ def FloatingBodyState_(T: type) -> Any:  # noqa: D103 (the class below says it)
             RuntimeError: on evaluation, at a pitch of 90 degrees, as QuadrotorPlant raises it.
         """
 
-        @remembered
-        def _construct(self, converter: Any = None) -> None:
-            LeafSystem_[T].__init__(self, converter=converter)
+        def _construct(self) -> None:
             self._body_state = self.DeclareVectorInputPort("body_state", BODY_STATE_SIZE)
             self.DeclareVectorOutputPort(
                 "state",
@@ -90,8 +84,6 @@ def FloatingBodyState_(T: type) -> Any:  # noqa: D103 (the class below says it)
                 self._CalcState,
                 {self.input_port_ticket(self._body_state.get_index())},
             )
-
-        _construct_copy = ConstructCopy
 
         def _CalcState(self, context: Any, output: Any) -> None:
             body = self._body_state.Eval(context)

@@ -10,18 +10,14 @@ from sgvf_drake.paths.navigator import Navigator, NavigatorState
 from systems.scalars import (
     CheckFiniteAgents,
     CheckPositiveParameter,
-    ConstructCopy,
     ToList,
     ToVector,
-    idle,
-    remembered,
     template,
 )
 
 
 @template
 def RouteNavigator_(T: type) -> Any:  # noqa: D103 (the class below says it)
-    @idle
     class Impl(LeafSystem_[T]):
         """Gives n agents their intended directions along an itinerary.
 
@@ -54,15 +50,12 @@ def RouteNavigator_(T: type) -> Any:  # noqa: D103 (the class below says it)
             NonFiniteValueError: on an update, where a position is not finite.
         """
 
-        @remembered
         def _construct(
             self,
             navigator: Navigator,
             num_agents: int,
             period: float,
-            converter: Any = None,
         ) -> None:
-            LeafSystem_[T].__init__(self, converter=converter)
             if num_agents < 1:
                 raise ConfigurationError(f"num_agents must be at least 1, got {num_agents}")
             CheckPositiveParameter("period", period)
@@ -81,8 +74,6 @@ def RouteNavigator_(T: type) -> Any:  # noqa: D103 (the class below says it)
                 "intended_directions", num_agents * self._dim, self._CalcDirections, state
             )
             self.DeclareVectorOutputPort("sections", num_agents, self._CopySections, state)
-
-        _construct_copy = ConstructCopy
 
         def GetState(self, context: Any) -> NavigatorState:
             """Returns where the agents are; this system's own Context is wanted."""

@@ -10,13 +10,11 @@ from systems.scalars import (
     CheckFinite,
     CheckNonNegativeParameter,
     CheckPositiveParameter,
-    ConstructCopy,
     Cos,
     Scalar,
     Sin,
     ToList,
     ToVector,
-    remembered,
     template,
 )
 
@@ -90,11 +88,7 @@ def PlanarVehicle_(T: type) -> Any:  # noqa: D103 (the class below says it)
             NonFiniteValueError: on evaluation, where an input is not finite.
         """
 
-        @remembered
-        def _construct(
-            self, parameters: PlanarVehicleParameters, converter: Any = None
-        ) -> None:
-            LeafSystem_[T].__init__(self, converter=converter)
+        def _construct(self, parameters: PlanarVehicleParameters) -> None:
             self._parameters = parameters
             self._lags = parameters.turn_lag > 0.0
             self._turn_rate = self.DeclareVectorInputPort("turn_rate", 1)
@@ -104,8 +98,6 @@ def PlanarVehicle_(T: type) -> Any:  # noqa: D103 (the class below says it)
             self.DeclareVectorOutputPort(
                 "state", PLANAR_STATE_SIZE, self._CalcState, {self.xc_ticket(), wind}
             )
-
-        _construct_copy = ConstructCopy
 
         @property
         def parameters(self) -> PlanarVehicleParameters:

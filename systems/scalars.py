@@ -18,7 +18,7 @@ import numpy as np
 import pydrake.autodiffutils
 from pydrake.autodiffutils import AutoDiffXd
 import pydrake.math
-from pydrake.systems.framework import LeafSystem
+from pydrake.systems.framework import LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 from sgvf_drake.exceptions import ConfigurationError, NonFiniteValueError
@@ -65,12 +65,20 @@ overload(Tanh)(lambda x: lambda x: math.tanh(x))
 
 
 def template(instantiate: Callable[[type], Any]) -> Any:
-    """Makes a function from a scalar type to a system's class the template of that system."""
+    """Makes a function from a scalar type to a system's class the template of that system.
+
+    The class is a LeafSystem_[T] whose method `_construct` declares its ports and states.
+    Drake's own constructor is called before it, and its arguments are remembered by name, as
+    `_arguments`, for Drake's scalar conversion.
+    """
     define: Any = TemplateSystem.define
     scope = sys.modules[instantiate.__module__]
 
+    def instantiate_whole(T: type) -> Any:
+        return _Whole(T, instantiate(T))
+
     def defined() -> Any:
-        made = define(instantiate.__name__, T_list=SCALARS, scope=scope)(instantiate)
+        made = define(instantiate.__name__, T_list=SCALARS, scope=scope)(instantiate_whole)
         made.get_instantiation(float)
         return made
 
@@ -79,37 +87,34 @@ def template(instantiate: Callable[[type], Any]) -> Any:
         return thread.submit(defined).result()
 
 
-def remembered(construct: Callable[..., None]) -> Callable[..., None]:
-    """Lets a system remember the arguments of its `_construct`, for `ConstructCopy`."""
-    signature = inspect.signature(construct)
+def _Whole(T: type, system_class: Any) -> Any:
+    """Gives a class what Drake asks of a template beside what its `_construct` declares."""
+    declare = system_class._construct
+    signature = inspect.signature(declare)
 
-    @functools.wraps(construct)
-    def construct_and_remember(self: Any, *args: Any, **kwargs: Any) -> None:
-        construct(self, *args, **kwargs)
-        arguments = signature.bind(self, *args, **kwargs).arguments
-        self._arguments = {
-            name: value
-            for name, value in arguments.items()
-            if name not in ("self", "converter")
-        }
+    @functools.wraps(declare)
+    def Construct(self: Any, *args: Any, converter: Any = None, **kwargs: Any) -> None:
+        LeafSystem_[T].__init__(self, converter=converter)
+        declare(self, *args, **kwargs)
+        self._arguments = signature.bind(self, *args, **kwargs).arguments
+        del self._arguments["self"]
 
-    return construct_and_remember
+    def ConstructCopy(self: Any, other: Any, converter: Any = None) -> None:
+        Construct(self, **other._arguments, converter=converter)
 
-
-def ConstructCopy(self: Any, other: Any, converter: Any = None) -> None:
-    """Constructs a system as another one of its template was, for Drake's scalar conversion."""
-    type(self)._construct(self, **other._arguments, converter=converter)
+    system_class._construct, system_class._construct_copy = Construct, ConstructCopy
+    return idle(system_class)
 
 
 def idle(system_class: Any) -> Any:
-    """Marks a class of Python systems that have no continuous state.
+    """Marks a class of Python systems that have no continuous state, if it has none.
 
     Drake asks every system for its time derivatives in each stage of the integrator.  Where
     Python finds no method for it at all, as in Drake 1.58, it is searched anew each time, which
     costs a flight half of its speed.  Where it finds Drake's own, as in 1.51, this is
     remembered, and a method in Python would cost more than it saves.
     """
-    if not hasattr(LeafSystem, "DoCalcTimeDerivatives"):
+    if not hasattr(system_class, "DoCalcTimeDerivatives"):
         system_class.DoCalcTimeDerivatives = _DoNothing
     return system_class
 

@@ -25,7 +25,7 @@ from pydrake.systems.primitives import (
 from sgvf_drake.exceptions import ConfigurationError
 from systems.context_matrix import AddMatrix, SetMatrix
 from systems.quadrotor import ATTITUDE, POSITION, RATES, STATE_SIZE, VELOCITY
-from systems.scalars import ConstructCopy, ToFloat, idle, remembered, template
+from systems.scalars import ToFloat, template
 from systems.selections import AddConcatenation, AddSelections
 from systems.state_estimator import DEFAULT_BANDWIDTH, StateEstimator
 
@@ -298,7 +298,6 @@ def DrawNoise(diagram: Diagram, context: Context, generator: RandomGenerator) ->
 
 @template
 def Dropout_(T: type) -> Any:  # noqa: D103 (the class below says it)
-    @idle
     class Impl(LeafSystem_[T]):
         """Loses some entries of a vector for some time: they are NaN then.
 
@@ -322,15 +321,12 @@ def Dropout_(T: type) -> Any:  # noqa: D103 (the class below says it)
             ConfigurationError: if an argument cannot be used.
         """
 
-        @remembered
         def _construct(
             self,
             size: int,
             intervals: Sequence[tuple[float, float]],
             entries: Sequence[int],
-            converter: Any = None,
         ) -> None:
-            LeafSystem_[T].__init__(self, converter=converter)
             for begin, end in intervals:
                 if not begin < end:
                     raise ConfigurationError(f"an interval cannot be from {begin} to {end} s")
@@ -340,8 +336,6 @@ def Dropout_(T: type) -> Any:  # noqa: D103 (the class below says it)
             self._intervals, self._entries = tuple(intervals), list(entries)
             self._input = self.DeclareVectorInputPort("input", size)
             self.DeclareVectorOutputPort("output", size, self._CalcOutput)
-
-        _construct_copy = ConstructCopy
 
         def _CalcOutput(self, context: Any, output: Any) -> None:
             values = self._input.Eval(context).copy()

@@ -17,11 +17,8 @@ from systems.scalars import (
     CheckFiniteAgents,
     CheckFiniteParameter,
     CheckPositiveParameter,
-    ConstructCopy,
     ToList,
     ToVector,
-    idle,
-    remembered,
     template,
 )
 
@@ -68,7 +65,6 @@ class Pace(NamedTuple):
 
 @template
 def SpacingController_(T: type) -> Any:  # noqa: D103 (the class below says it)
-    @idle
     class Impl(LeafSystem_[T]):
         """Sets the speeds of n vehicles on one closed path until their gaps are as asked.
 
@@ -133,7 +129,6 @@ def SpacingController_(T: type) -> Any:  # noqa: D103 (the class below says it)
             NonFiniteValueError: on an update, where a position is not finite.
         """
 
-        @remembered
         def _construct(
             self,
             branch: Branch,
@@ -142,9 +137,7 @@ def SpacingController_(T: type) -> Any:  # noqa: D103 (the class below says it)
             shares: ArrayLike | None = None,
             reach: float | None = None,
             period: float = DEFAULT_SPACING_PERIOD,
-            converter: Any = None,
         ) -> None:
-            LeafSystem_[T].__init__(self, converter=converter)
             if not branch.closed:
                 raise ConfigurationError("only vehicles on a closed path can be spaced")
             if num_vehicles < 2:
@@ -174,8 +167,6 @@ def SpacingController_(T: type) -> Any:  # noqa: D103 (the class below says it)
                 self.DeclareVectorOutputPort(f"speed_{i}", 1, copy, state)
             self.DeclareVectorOutputPort("arcs", n, self._CopyArcs, state)
             self.DeclareVectorOutputPort("gaps", n, self._CalcGaps, state)
-
-        _construct_copy = ConstructCopy
 
         @property
         def num_vehicles(self) -> int:

@@ -10,13 +10,10 @@ from systems.scalars import (
     CheckFinite,
     CheckNonNegativeParameter,
     CheckPositiveParameter,
-    ConstructCopy,
     Scalar,
     ToFloat,
     ToList,
     ToVector,
-    idle,
-    remembered,
     template,
 )
 
@@ -35,7 +32,6 @@ _NEW, _WAITING, _STARTED = 0.0, 1.0, 2.0
 
 @template
 def StateEstimator_(T: type) -> Any:  # noqa: D103 (the class below says it)
-    @idle
     class Impl(LeafSystem_[T]):
         """Estimates position and velocity from positions sampled at a fixed period.
 
@@ -82,15 +78,12 @@ def StateEstimator_(T: type) -> Any:  # noqa: D103 (the class below says it)
             NonFiniteValueError: at a sample, where the acceleration is not finite.
         """
 
-        @remembered
         def _construct(
             self,
             period: float,
             delay: float = 0.0,
             bandwidth: float = DEFAULT_BANDWIDTH,
-            converter: Any = None,
         ) -> None:
-            LeafSystem_[T].__init__(self, converter=converter)
             CheckPositiveParameter("period", period)
             CheckNonNegativeParameter("delay", delay)
             CheckPositiveParameter("bandwidth", bandwidth)
@@ -112,8 +105,6 @@ def StateEstimator_(T: type) -> Any:  # noqa: D103 (the class below says it)
                 ("measurement_age", 1, self._CalcAge),
             ):
                 self.DeclareVectorOutputPort(name, size, calc, sources)
-
-        _construct_copy = ConstructCopy
 
         def GetBandwidth(self, context: Any) -> Scalar:
             """Returns the bandwidth in rad/s."""

@@ -64,9 +64,6 @@ def _system_class(function: ast.FunctionDef, name: str) -> ast.ClassDef:
     for method in system.body:
         if isinstance(method, ast.FunctionDef) and method.name == "_construct":
             method.name = "__init__"
-            # Drake passes the converter; it is the last argument.
-            assert method.args.args.pop().arg == "converter"
-            method.args.defaults.pop()
     return system
 
 
