@@ -107,7 +107,7 @@ def _Whole(T: type, system_class: Any) -> Any:
 
 
 def idle(system_class: Any) -> Any:
-    """Marks a class of Python systems that have no continuous state, if it has none.
+    """Gives a class of Python systems, if it finds none, time derivatives that do nothing.
 
     Drake asks every system for its time derivatives in each stage of the integrator.  Where
     Python finds no method for it at all, as in Drake 1.58, it is searched anew each time, which
