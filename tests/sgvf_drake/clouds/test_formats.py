@@ -170,6 +170,11 @@ def test_trajectories_are_known_by_their_columns(write):
         text = "\n".join(",".join(map(str, row)) for row in longer)
         with pytest.raises(PointCloudError, match="columns without names"):
             read_recording(write(text, "poses.txt"))
+    # Axes of the wrong hand, at right angles as they are, are of no rotation.
+    mirrored = kitti * np.where(np.isin(np.arange(12), (0, 4, 8)), -1, 1)
+    text = "\n".join(",".join(map(str, row)) for row in mirrored)
+    with pytest.raises(PointCloudError, match="columns without names"):
+        read_recording(write(text, "poses.txt"))
     # A comment that names the columns comes first.
     text = "# timestamp tx ty tz qx qy qz qw\n0 1 2 3 9 9 9 9\n1 4 5 6 9 9 9 9\n"
     np.testing.assert_array_equal(read_recording(write(text)).points, [[1, 2, 3], [4, 5, 6]])

@@ -8,6 +8,7 @@ from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError, PointCloudError
 from sgvf_drake.paths import Piece, ReferencePath
 from sgvf_drake.paths.finding import find_paths
+from sgvf_drake.paths.geometry import local_scatter
 from tests.networks import (
     LOOP,
     SHAPES,
@@ -431,9 +432,25 @@ def test_lines_come_nearer_to_the_path_with_more_points(noise: float) -> None:
     for count in (200, 3200):
         cloud = PointCloud(SHAPES["circle"].sample(count, noise, random=True, seed=0))
         # The extent of a noisy cloud is a little more than that of its circle.
-        errors.append(rms(find_paths(cloud).routes[0].line.vertices, truth))
+        network = find_paths(cloud)
+        errors.append(rms(network.routes[0].line.vertices, truth))
     assert errors[0] < noise
     assert errors[1] < 0.8 * errors[0]
+    # The line, fitted to some ten waypoints about each place, follows a part of their scatter.
+    assert network.scatter == pytest.approx(noise, rel=0.15)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_scatter_is_that_of_the_noise_wherever_a_lap_begins(dim: int) -> None:
+    """It is told in each direction across, and a lap has no first waypoint."""
+    angle, noise = 2 * np.pi * np.arange(800) / 800, 0.01
+    outward = np.column_stack([np.cos(angle), np.sin(angle)])
+    across = noise * np.random.default_rng(0).standard_normal((800, dim - 1))
+    points = np.column_stack([(1 + across[:, :1]) * outward, across[:, 1:]])
+    scatter = local_scatter(angle, points, 2 * np.pi)
+    assert np.mean(scatter) == pytest.approx(noise, rel=0.1)
+    again = local_scatter(angle, np.roll(points, 300, axis=0), 2 * np.pi)
+    np.testing.assert_allclose(again, np.roll(scatter, 300), atol=1e-9)
 
 
 def test_corners_of_clean_points_are_kept() -> None:

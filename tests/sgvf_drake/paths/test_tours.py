@@ -3,11 +3,12 @@
 import numpy as np
 from numpy.typing import NDArray
 import pytest
+from scipy.spatial.distance import cdist
 
 from sgvf_drake.clouds import PointCloud
 from sgvf_drake.experiments.clouds import make_cloud
 from sgvf_drake.paths.finding import find_paths
-from sgvf_drake.paths.tours import DOUBT, MOST_WAYPOINTS, find_tours
+from sgvf_drake.paths.tours import DOUBT, GAP, MOST_WAYPOINTS, Tours, find_tours
 from tests.networks import LOOP, SHAPES, STRAND, Shape, Topology, topology
 
 Array = NDArray[np.float64]
@@ -82,6 +83,14 @@ def test_where_strands_meet_the_ridge_decides(name: str) -> None:
 def test_what_is_too_sparse_is_unsure(name: str, random: bool) -> None:
     network = find_paths(PointCloud(SHAPES[name].sample(40, 0.05, random, seed=0)))
     assert network.unsure is not None
+
+
+def test_a_short_loop_may_be_a_path_there_and_back() -> None:
+    """That is half of its steps and a gap in place of all of them."""
+    angle = 2 * np.pi * np.arange(8) / 8
+    octagon = np.column_stack([np.cos(angle), np.sin(angle)]) / (2 * np.sin(np.pi / 8))
+    loop = Tours([np.arange(8)], cdist(octagon, octagon), GAP)
+    assert loop.margin() == pytest.approx(8 / 2 - GAP)
 
 
 def test_strands_as_near_as_their_waypoints_are_unsure() -> None:
