@@ -1,11 +1,13 @@
 """The compiled form of a field is the field, at one point, of which NumPy is another form."""
 
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import replace
 from itertools import product
 import os
 import subprocess
 import sys
+from types import SimpleNamespace
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -13,8 +15,9 @@ from numba.core.registry import CPUDispatcher
 import numpy as np
 import pytest
 
+from sgvf_drake import compiling
 from sgvf_drake.clouds import PointCloud
-from sgvf_drake.compiling import digest
+from sgvf_drake.compiling import digest, timed
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import (
     Composition,
@@ -25,7 +28,7 @@ from sgvf_drake.fields import (
     ScoreNetwork,
 )
 from sgvf_drake.fields.activation import ACTIVATIONS
-from sgvf_drake.fields.compiled.evaluation import SOURCES, evaluate
+from sgvf_drake.fields.compiled.evaluation import SOURCES, evaluate, evaluate_motion
 
 RECIPES = ("robust", "exact", "paper")
 COMPOSITIONS = {
@@ -281,6 +284,24 @@ def test_where_nothing_can_be_written_it_is_compiled_all_the_same(tmp_path):
     assert found == ["21.0", "0", "True"]
 
 
+def test_a_stopwatch_stands_while_something_is_compiled(monkeypatch):
+    """Of five seconds by the clock, two were numba's."""
+    readings = iter([10.0, 15.0])
+
+    @contextmanager
+    def two_seconds(kind, callback):
+        assert kind == "numba:compile"
+        yield
+        callback(2.0)
+
+    monkeypatch.setattr(compiling.event, "install_timer", two_seconds)
+    clock = SimpleNamespace(perf_counter=lambda: next(readings), process_time=lambda: 0.0)
+    monkeypatch.setattr(compiling, "time", clock)
+    with timed() as watch:
+        pass
+    assert watch.wall_s == 3.0
+
+
 def compiled_functions(function, found):
     """The functions that are compiled into one in Python."""
     for name in function.__code__.co_names:
@@ -291,11 +312,12 @@ def compiled_functions(function, found):
     return found
 
 
-def test_everything_compiled_is_in_the_key_of_the_cache():
-    functions = compiled_functions(evaluate.py_func, set())
+@pytest.mark.parametrize("kernel", [evaluate, evaluate_motion])
+def test_everything_compiled_is_in_the_key_of_the_cache(kernel):
+    functions = compiled_functions(kernel.py_func, set())
     assert len(functions) > 10
     sources = {module.__name__ for module in SOURCES}
     # What stands in the file of the kernel is in the key anyway.
-    assert {f.__module__ for f in functions} <= sources | {evaluate.py_func.__module__}
-    (enclosed,) = evaluate.py_func.__closure__
+    assert {f.__module__ for f in functions} <= sources | {kernel.py_func.__module__}
+    (enclosed,) = kernel.py_func.__closure__
     assert enclosed.cell_contents == digest(*SOURCES)

@@ -83,6 +83,15 @@ def test_a_score_without_a_path_in_the_box_leaves_the_box(make_sequential):
         np.testing.assert_array_equal(np.abs(points).max(axis=1), np.full(32, 4.0))
 
 
+def test_a_wide_ridge_that_leads_on_steeply_is_no_path():
+    """As those beside the paths of a badly learned score; its upper end alone is left."""
+    share = (np.arange(100) + 0.5) / 100
+    along = -np.log(1 - share) / 1.2 - 4.0
+    ridge = GaussianMixture(np.column_stack([along, np.zeros(100)]), 0.6)
+    points, _ = recover_waypoints(ridge)
+    assert points[:, 0].max() < -2.5
+
+
 def test_a_score_that_is_not_finite_is_refused():
     widths = [3, 4, 4, 2]
     weights = tuple(np.full((b, a), 1e200) for a, b in pairwise(widths))
