@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from sgvf_drake.fields import GaussianMixture
+from sgvf_drake.fields import GaussianMixture, ScoreNetwork
 from sgvf_drake.learning.score_matching import (
     BOX_HALF_SIZE,
     COMPRESSION_RADIUS,
@@ -17,6 +17,7 @@ from sgvf_drake.learning.score_matching import (
     paper_score_loss,
     robust_score_loss,
 )
+from sgvf_drake.learning.score_stage import frozen_score
 from sgvf_drake.paths import make_shape
 
 BATCH = 256
@@ -210,3 +211,13 @@ def test_a_noisy_batch_is_perturbed_by_the_noise_of_its_own_time(points):
     at_end = (x - points[0])[t[:, 0] == 1]
     # The standard error of a standard deviation is sigma / sqrt(2 n) = 6e-4.
     assert at_end.std() == pytest.approx(0.1, abs=2.4e-3)
+
+
+def test_the_score_that_a_tangent_is_learned_on_is_that_of_the_model(make_perceptron):
+    """Of outputs that are sigma S, as those of the robust recipe, too."""
+    rng = np.random.default_rng(0)
+    x = rng.uniform(-4, 4, (50, 2))
+    for scale in (1.0, 0.3):
+        model = ScoreNetwork(make_perceptron(rng, 3, (8, 8), 2), scale)
+        found = frozen_score(model)(torch.as_tensor(x).float())
+        np.testing.assert_allclose(found, model.score(x), rtol=1e-4, atol=1e-5)

@@ -1,6 +1,7 @@
 """Bands of fields whose V and V_dot are known in closed form, and fields without a band."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -57,6 +58,14 @@ def test_on_a_ring_v_falls_from_the_border_to_a_thin_tube(found):
     assert band.tube.follows(np.array([True]))
     assert band.basin.follows(np.array([True]))
     assert band.basin.compact
+
+
+def test_the_lowest_place_of_the_border_is_found_between_the_points_of_a_coarse_grid(ring):
+    """That is (5, 0), which a grid of ten by ten points does not have."""
+    field, path = ring
+    band = band_of(field, path, take_samples(field, grid_size=10))
+    border = float(band.function(np.array([[5.0, 0.0]]))[0])
+    assert band.c_out == pytest.approx((1 - LEVEL_MARGIN) * border, rel=1e-3)
 
 
 def test_it_is_what_a_finer_grid_confirms(found):
@@ -166,6 +175,30 @@ def test_critical_levels_are_those_of_the_saddles():
     assert len(levels) == 5
 
 
+@pytest.mark.parametrize("unit", [1e-6, 1e6])
+def test_critical_levels_have_no_unit(unit):
+    def levels(unit):
+        points = unit * np.array([[-1.0, 0.0], [1.0, 0.0], [0.0, 2.0]])
+        function = LyapunovFunction(GaussianMixture(points, 0.5 * unit))
+        side = unit * np.linspace(-3, 3, 61)
+        x = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+        samples = SimpleNamespace(x=x, on_grid=slice(None), corners=(x[0], x[-1]))
+        slope = np.linalg.norm(function.gradient(x), axis=1).reshape(61, 61)
+        return np.unique(np.round(critical_levels(function, samples, slope), 6))
+
+    assert len(levels(unit)) == 5
+    np.testing.assert_allclose(levels(unit), levels(1.0), atol=2e-6)
+
+
+def test_no_band_holds_a_place_where_m_vanishes(found, samples):
+    """However it was found, here between samples of a field that does not vanish."""
+    field, path, band = found
+    level = np.sqrt(band.c_in * band.c_out)
+    stop = to_level_set(band.function, np.array([[4.3, 0.0]]), level)
+    with_stop = find_band(field, band.function, samples, path, stops=stop)
+    assert with_stop.c_out < level or with_stop.c_in > level
+
+
 def test_margins_are_the_inward_speed(found, samples):
     field, _, band = found
     margins = inward_margins(field, band.function, samples, band.c_in, band.c_out, 9)
@@ -176,6 +209,29 @@ def test_margins_are_the_inward_speed(found, samples):
     np.testing.assert_allclose(band.function(margins.weakest), margins.levels, rtol=1e-5)
     middle = np.sqrt(margins.levels[3] * margins.levels[4])
     assert margins.at(middle) == pytest.approx(margins.e_star[3:5].mean(), rel=1e-9)
+
+
+def test_a_dent_that_the_samples_of_a_level_miss_is_found_from_beside_it(ring):
+    """Those of the level are on the left; those that say of the dent are on a level nearby."""
+    function = LyapunovFunction.of(ring[0])
+    radius, level = np.linalg.norm(function.mixture.points[0]), 20.0
+
+    def at(angle, level):
+        start = (radius + SIGMA) * np.column_stack([np.cos(angle), np.sin(angle)])
+        return to_level_set(function, start, level)
+
+    dent = at(np.zeros(1), level)
+
+    def field(x):
+        gradient = function.gradient(x)
+        square = ((x - dent) ** 2).sum(axis=1, keepdims=True) / SIGMA**2
+        inward = -gradient / np.linalg.norm(gradient, axis=1, keepdims=True)
+        return (1 - 0.9 * np.exp(-square / 2)) * inward
+
+    beside = at(np.linspace(-0.02, 0.02, 5), 1.1 * level)
+    x = np.concatenate([at(np.linspace(2, 4, 3000), level), beside])
+    margins = inward_margins(field, function, Samples((), x, field(x), 0 * x), level, level, 1)
+    assert margins.e_star == pytest.approx(0.1, abs=0.01)
 
 
 def test_level_sets_are_reached_all_around(ring, samples):

@@ -13,6 +13,8 @@ from sgvf_drake.lyapunov import (
     robustness_bounds,
     take_samples,
 )
+from sgvf_drake.lyapunov.conditions import _along_level_sets
+from tests.fields import exact_field, linear_network
 
 GRID = 81
 QUARTER_TURN = np.array([[0.0, -0.25], [0.25, 0.0]])
@@ -117,6 +119,21 @@ class Slope:
 
     def gradient(self, x):
         return -self.S
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_the_slope_along_a_level_set_is_that_across_its_normal(dim):
+    """Of a linear v, the largest size of J v tau among unit vectors tau with n . tau = 0."""
+    rng = np.random.default_rng(dim)
+    A, n = rng.normal(size=(dim, dim)), rng.normal(size=dim)
+    points = rng.uniform(-4, 4, (20, dim))
+    tangent = linear_network(A, np.zeros(dim))
+    field = exact_field(points, tangent, composition="paper")
+    found = _along_level_sets(field, points, np.tile(n, (20, 1)))
+    across = np.eye(dim) - np.outer(n, n) / (n @ n)
+    slope = np.linalg.norm(A @ across, 2) / field.cloud.unit_length
+    assert found["max"] == pytest.approx(slope, rel=1e-9)
+    assert found["mean"] == pytest.approx(slope, rel=1e-9)
 
 
 @given(st.integers(0, 10_000))
