@@ -1,14 +1,21 @@
 """Bounds of a machine's errors against machines: float32 in several orders, double in balls."""
 
 from dataclasses import replace
+from itertools import product
 
 from flint import arb
 import numpy as np
 import pytest
 
-from sgvf_drake.certificate.arithmetic import ARITHMETICS, ExportedField, network_error
+from sgvf_drake.certificate.arithmetic import (
+    ARITHMETICS,
+    ExportedField,
+    Rounded,
+    network_error,
+)
 from sgvf_drake.certificate.field_model import model_field
 from sgvf_drake.certificate.patches import Patches
+from sgvf_drake.certificate.taylor_model import TaylorModel
 from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import (
@@ -18,7 +25,7 @@ from sgvf_drake.fields import (
     RobustComposition,
     load_field,
 )
-from sgvf_drake.fields.activation import ACTIVATIONS
+from sgvf_drake.fields.activation import ACTIVATIONS, find_activation
 from tests.fields import random_field, random_perceptron
 
 from .ball_fields import BallField
@@ -157,6 +164,52 @@ def test_a_steep_network_in_balls():
     error = np.abs(float_network(network, z, np.random.default_rng(0)) - network(z))
     assert (error <= bound).all()
     assert (error > bound / 100).any()
+
+
+def test_roundings_that_all_fall_one_way_are_within_the_bound():
+    """A thousand tenths, one added after another: in float32 they are a thousandth too few."""
+    hidden = Perceptron(
+        (np.zeros((1000, 2)), np.full((1, 1000), np.float64(F(0.1)))),
+        (np.ones(1000), np.zeros(1)),
+        activation=find_activation("ReLU"),
+    )
+    z = np.zeros((1, 2))
+    error = np.abs(float_network(hidden, z, np.random.default_rng(0)) - hidden(z))
+    bound = network_error(hidden, Patches.points(z), z, FLOAT)
+    assert 9e-4 < error[0, 0] < bound[0, 0]
+
+
+def test_an_error_is_carried_by_the_steepest_slope_on_the_patch():
+    """At the middle of the patch tanh is flat, at its end it is not."""
+    unit = Perceptron(
+        (np.array([[1.0, 0.0]]), np.ones((1, 1))),
+        (np.zeros(1), np.zeros(1)),
+        activation=find_activation("Tanh"),
+    )
+    off = np.array([[1e-3, 0.0]])
+    patches = Patches(np.array([[4.0, 0.0]]), np.diag([4.0, 0.0])[None])
+    bound = network_error(unit, patches, off, DOUBLE)
+    assert bound >= np.tanh(1e-3)
+
+
+def test_what_is_made_of_numbers_that_are_off_is_within_its_error():
+    """Whichever way they are off: sums, differences, products and their sums."""
+    rng = np.random.default_rng(6)
+    values, errors = rng.uniform(-2, 2, (2, 30, 3)), rng.uniform(0, 1, (2, 30, 3))
+    a, b = (
+        Rounded(TaylorModel.position(Patches.points(value)), error, DOUBLE)
+        for value, error in zip(values, errors, strict=True)
+    )
+    for name, found, exact in (
+        ("sum", a + b, np.add),
+        ("difference", a - b, np.subtract),
+        ("product", a * b, np.multiply),
+        ("dot", a.dot(b), lambda x, y: (x * y).sum(axis=1, keepdims=True)),
+    ):
+        for one, other in product((-1, 0, 1), repeat=2):
+            signs = np.array([one, other])[:, None, None]
+            off = exact(*(values + signs * errors)) - exact(*values)
+            assert (np.abs(off) <= found.error).all(), name
 
 
 @pytest.mark.parametrize("ends", [0, 2])

@@ -1,5 +1,6 @@
 """The basin: robots do what is proved of squares, and squares are what they are said to be."""
 
+from dataclasses import replace
 import itertools
 
 from hypothesis import given, settings
@@ -13,7 +14,8 @@ from sgvf_drake.certificate import basin, find_basin, prove_basin
 from sgvf_drake.certificate.basin import LEAST, MOST, _graphs, _Known, facts_of
 from sgvf_drake.certificate.boxes import Boxes
 from sgvf_drake.certificate.cells import COUNT, DEPTH, HALF, ROOT, SIDES, UNIT, Cells
-from sgvf_drake.certificate.fences import Fences
+from sgvf_drake.certificate.fences import Fence, Fences
+from tests.helpers import circle
 
 
 def random_cells(seed, rounds=4, share=0.1):
@@ -156,6 +158,16 @@ def test_a_ring_without_walls_is_no_goal(two_rings):
     rng = np.random.default_rng(1)
     starts = boxes.centers[rng.choice(np.flatnonzero(basin.comes), 100)]
     assert between(inner, ends_of(field, starts, 20.0)).all()
+
+
+def test_nobody_comes_between_walls_where_there_are_none(ring):
+    """Robots stay at the ring, or leave the box; a fence that they cross inward is no help."""
+    field, _, stored = ring
+    cells = Cells.of(stored.cells)
+    fleeing = replace(field, composition=replace(field.composition, gain=-1.0))
+    around = Fence.through(circle(4.5, 80))
+    for guiding, fences in ((field, []), (fleeing, []), (field, [around])):
+        assert not prove_basin(guiding, cells, [], fences).comes.any()
 
 
 def test_orbits_are_walks_on_the_graph(two_rings):

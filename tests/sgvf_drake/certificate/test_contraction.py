@@ -1,6 +1,6 @@
 """Rates at which orbits come together, and balls of rest."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -8,8 +8,10 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import null_space
 
 from sgvf_drake.certificate.contraction import rate_across, rate_of_distances
+from sgvf_drake.certificate.field_model import PerturbedField
 from sgvf_drake.certificate.rest_ball import RestBall, prove_rest
 from sgvf_drake.certificate.taylor_model import DualModel, TaylorModel
+from sgvf_drake.fields import ComposedField
 
 
 def constant(value, remainder):
@@ -102,3 +104,27 @@ def test_other_balls_are_refused(rested):
         assert not prove_rest(field, other).proved
     backward = replace(field, composition=replace(field.composition, gain=-1.0))
     assert not prove_rest(backward, ball).proved
+
+
+@dataclass(frozen=True)
+class OffBeside(PerturbedField):
+    """Functions that are those of a field at a place, and off by as much everywhere else."""
+
+    field: ComposedField
+    place: tuple[float, ...]
+    off: float
+
+    def error(self, patches):
+        at_place = (patches.centers == self.place).all(axis=1) & ~patches.axes.any(axis=(1, 2))
+        return np.where(at_place, 0.0, self.off)
+
+
+def test_the_inflow_is_less_by_the_error_wherever_it_is_largest(rested):
+    field, _, ball = rested
+    exact = prove_rest(field, ball)
+    for share in (0.9, 1.1):
+        perturbed = OffBeside(field, ball.center, share * exact.inflow)
+        proof = prove_rest(perturbed, ball)
+        assert proof.rate == exact.rate
+        assert proof.inflow <= (1 - share) * exact.inflow + 1e-12
+        assert proof.proved == (share < 1)

@@ -12,7 +12,16 @@ from scipy.optimize import brentq
 from sgvf_drake.certificate.patches import Patches
 from sgvf_drake.certificate.taylor_model import TaylorModel
 from sgvf_drake.certificate.trajectories import closed_orbit
-from sgvf_drake.certificate.tube import LARGEST, TICK, Tube, normal, prove_tube
+from sgvf_drake.certificate.tube import (
+    LARGEST,
+    TICK,
+    Tube,
+    _contraction,
+    _ends_in_rest,
+    _passes_once,
+    normal,
+    prove_tube,
+)
 from sgvf_drake.certificate.tube_search import find_tube
 from tests.fields import exact_field, linear_network
 from tests.helpers import circle
@@ -249,6 +258,51 @@ def test_a_chain_of_two_laps_is_told(planar):
     assert twice.unique
     assert not twice.once
     assert twice.time_low == pytest.approx(2 * found.proof.time_low, rel=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("sections", "once"),
+    [
+        ([(1, 0), (3, 5), (-3, 5), (-1, 0)], True),
+        # The second cell comes back over the first section.
+        ([(1, 0), (-1, 0), (-2, 0)], False),
+        # A later one does.
+        ([(1, 0), (3, 5), (-3, 5), (-1, 0), (1, 0), (3, 5), (-3, 5), (-1, 0)], False),
+        # What follows the first section, or comes before it, is on both of its sides.
+        ([(1, 3, 1.5, 1), (3, 5), (-3, 5), (-1, 0)], False),
+        ([(1, 0), (3, 5), (-3, 5), (-1, 3, 1.5, 1)], False),
+    ],
+)
+def test_cells_that_touch_the_first_section_again_are_told(sections, once):
+    """The first section is from (0, -1) to (0, 1), and the others are like it but for two."""
+    chain = [(0, 0), *sections, (0, 0)]
+    rows = [[section[:2], section[2:] or (0, 1)] for section in chain]
+    assert _passes_once(np.array(rows, float)) is once
+
+
+def test_the_last_section_is_in_the_ball_with_its_corners(resting):
+    field, found = resting
+    ball, rows = found.tube.rest, found.tube.rows.copy()
+    rows[-1, 0] = ball.center
+    side = rows[-1, 1] / np.linalg.norm(rows[-1, 1])
+    for half, inside in ((0.9 * ball.radius, True), (1.1 * ball.radius, False)):
+        rows[-1, 1] = half * side
+        tube = Tube.around(rows[:, 0], rows[:, 1:].swapaxes(1, 2), closed=False, rest=ball)
+        assert _ends_in_rest(field, tube) is inside
+
+
+def test_contraction_counts_for_the_shortest_time_and_its_opposite_for_the_longest(planar):
+    field, found = planar
+    cells = found.tube.cells
+
+    def bound(field, *times):
+        return _contraction(field, cells, np.tile(times, (len(cells), 1)))[0]
+
+    assert bound(field, 0.1, 0.3) == pytest.approx(bound(field, 0.1, 0.1))
+    assert bound(field, 0.1, 0.1) < 0
+    spreading = replace(field, composition=replace(field.composition, gain=-1.0))
+    assert bound(spreading, 0.1, 0.3) == pytest.approx(bound(spreading, 0.3, 0.3))
+    assert bound(spreading, 0.1, 0.3) > 0
 
 
 def test_a_field_that_spreads_has_no_tube_and_contracts_nothing(planar):

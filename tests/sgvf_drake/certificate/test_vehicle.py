@@ -1,19 +1,26 @@
 """Responses, second derivatives and the proof of a vehicle: truths, balls and planted flaws."""
 
 from dataclasses import replace
+from itertools import permutations, product
 
 from flint import arb, arb_series
 import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from sgvf_drake.certificate import Certificate
+from sgvf_drake.certificate import Certificate, responses
 from sgvf_drake.certificate.expansions import ACTIVATIONS, COSINE, SINE
 from sgvf_drake.certificate.flown_jerk import FlownBounds
 from sgvf_drake.certificate.jet_model import JetModel, jet_field, jet_network
 from sgvf_drake.certificate.patches import Patches
 from sgvf_drake.certificate.responses import respond
-from sgvf_drake.certificate.vehicle import ErrorBounds, Linear, VehicleLaw, prove_stage
+from sgvf_drake.certificate.vehicle import (
+    ErrorBounds,
+    Linear,
+    VehicleLaw,
+    _forces,
+    prove_stage,
+)
 from sgvf_drake.certificate.vehicle_claim import VehiclePiece, VehicleProposal, VehicleResult
 from sgvf_drake.exceptions import ConfigurationError
 
@@ -51,6 +58,10 @@ def test_a_flight_within_its_bounds_is_proved():
         ({"law": replace(LAW, bandwidth=6.0)}, ""),
         ({"law": replace(LAW, max_force=1.15)}, "force of a propeller"),
         ({"law": replace(LAW, inertia=(0.1, 0.1, 0.1))}, "propeller"),
+        (
+            {"law": replace(LAW, inertia=(0.1, 0.1, 0.1), max_force=100.0)},
+            "no force of a propeller",
+        ),
         ({"law": replace(LAW, max_tilt=0.03)}, "tilt of the demanded thrust"),
         ({"law": replace(LAW, max_heading_error=0.05)}, "turn from the heading"),
         ({"bounds": replace(BOUNDS, error=0.1)}, "velocity error against"),
@@ -69,6 +80,37 @@ def test_planted_flaws_are_refused(flaw, words):
     failures = stage(**flaw).failures
     assert failures
     assert words in "; ".join(failures)
+
+
+@pytest.mark.parametrize("inertia", [*permutations(LAW.inertia)])
+def test_no_propeller_needs_more_than_the_bounds_of_its_force(inertia):
+    """The torque is J alpha + w x J w, which the arms and the yaw drag of four share."""
+    law, (slow, fast) = replace(LAW, inertia=inertia), (0.9, 1.1)
+    (bend, spin), (tip, turn) = (9.0, 4.0), (2.0, 60.0)
+    least, most = _forces(law, (slow, fast), (bend, spin), (tip, turn))
+    J, forces = np.array(inertia), []
+    sides = np.exp(1j * np.pi / 8 * np.arange(16))
+    for lift, a, about, w, yaw in product(
+        (slow, fast), bend * sides, (-spin, spin), tip * sides, (-turn, turn)
+    ):
+        rate = np.array([w.real, w.imag, yaw])
+        torque = J * [a.real, a.imag, about] + np.cross(rate, J * rate)
+        roll, pitch = torque[:2] / (2 * law.arm_length)
+        drag = torque[2] / (4 * law.yaw_arm)
+        mean = lift * law.mass * law.gravity / 4
+        forces += [mean - pitch + drag, mean + pitch + drag]
+        forces += [mean - roll - drag, mean + roll - drag]
+    assert least <= min(forces)
+    assert max(forces) <= most
+    assert most - least < 2 * (max(forces) - min(forces))
+
+
+def test_what_is_left_when_a_response_is_no_longer_followed_counts(monkeypatch):
+    monkeypatch.setattr(responses, "TIMES", 0.1)
+    monkeypatch.setattr(responses, "BLOCK", 4)
+    found = respond(np.array([[-2.0]]), np.array([[1.0]]), np.array([[3.0]]), 1.0)
+    assert found.integral[0, 0] >= 1.5
+    assert found.late[0, 0] >= 3 * np.exp(-2)
 
 
 def test_responses_are_just_above_the_true_ones():
