@@ -24,6 +24,7 @@ from systems.se3_law import (
     CalcAttitudeError,
     CalcDesiredAttitude,
     CalcPropellerForces,
+    CalcPropellerInput,
     CalcThrustAndTorque,
     LimitThrust,
 )
@@ -305,3 +306,16 @@ def test_yaw_torque_alone_gives_way():
     assert 0.0 < given_[3] < demand[3]
     # Nothing is left over: one propeller is at its limit.
     assert min(forces.min(), F_MAX - forces.max()) == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_limits_do_not_hide_a_torque_that_overflows(axis):
+    """A body rate of which the law demands infinite torque about one axis, at hover."""
+    state, nothing = [0.0] * 12, [0.0] * 3
+    state[9 + axis] = 1e308
+    forces = CalcPropellerInput(
+        *(state, nothing, nothing, nothing),
+        *(DEFAULT_GAINS, Body(PARAMETERS.mass, *PARAMETERS.inertia)),
+        *(PARAMETERS.rotors, PARAMETERS.gravity, True),
+    )
+    assert np.isnan(forces).all()

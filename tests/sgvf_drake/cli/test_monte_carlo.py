@@ -40,6 +40,8 @@ def test_it_prints_what_it_found_and_flies_one_again(run, trained, flown, capsys
     assert run(*again) == 0
     printed = capsys.readouterr()
     assert "yes, to the last bit" in printed.out
+    rms = summary_of(flown / f"replay_{number}")["cross_track_rms_m"]
+    assert f"{1000 * rms:.3g} mm" in printed.out
     assert printed.err == ""
     names = {f"flight.{kind}" for kind in ("html", "parquet", "png")}
     assert names_in(flown / f"replay_{number}") == {"summary.json", *names}

@@ -181,9 +181,9 @@ def test_starts_are_where_the_distributions_have_them(experiment):
     flights = drawn.plan(range(200))
     starts = np.array([flight.spec.start for flight in flights])
     radii = np.hypot(starts[:, 0], starts[:, 1])
-    # 0.4 U of 0.5 m beside the circles, on the same side of both.
-    off = np.abs(radii[:, None] - [1.0, 2.0]).min(axis=1)
-    np.testing.assert_allclose(off, 0.2, atol=1e-3)
+    # 0.4 U of 0.5 m to the left of the circles, which are travelled counter-clockwise.
+    off = radii - np.where(radii > 1.5, 2.0, 1.0)
+    np.testing.assert_allclose(off, -0.2, atol=1e-3)
     np.testing.assert_allclose(starts[:, 2], 0.8)
     # As often as they are long.
     outer = np.mean(radii > 1.5)

@@ -32,6 +32,10 @@ class Trial:
     log: str
     values: tuple = (1.0, 2.0)
 
+    @property
+    def doubled(self):
+        return 2 * self.number
+
 
 def measure(trial, folder):
     with open(trial.log, "a") as log:
@@ -163,6 +167,8 @@ def test_another_trial_or_function_has_a_record_of_its_own(module):
     [
         ("roots", "number**0.5", "number**0.25", True),
         ("trials", "time.sleep(600)", "time.sleep(60)", True),
+        # What the trial computes of itself, where nobody names its class.
+        ("trials", "2 * self.number", "3 * self.number", True),
         ("roots", "Returns the root", "Gives the root", False),
         ("trials", "def measure(", "# What takes the time.\ndef measure(", False),
         ("others", "others = 1", "others = 2", False),

@@ -24,6 +24,7 @@ from sgvf_drake.fields.activation import ACTIVATIONS
 from sgvf_drake.fields.storage import field_digest
 from tests.c_code import CField, compile_c
 from tests.fields import random_field
+from tests.helpers import names_in
 from tests.sgvf_drake.fields.test_directed import KINDS, field_of
 
 COMPOSITIONS = {
@@ -313,3 +314,10 @@ def test_files_are_replaced_only_when_asked(field, tmp_path):
     assert '"mixed"' in (tmp_path / "field.h").read_text()
     export_c(field, tmp_path, "float", overwrite=True)
     assert '"float"' in (tmp_path / "field.h").read_text()
+    # One file in the way is enough for none to be written.
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "laws.c").write_text("of somebody else")
+    with pytest.raises(OutputExistsError, match=r"already holds laws.c;"):
+        export_c(field, other)
+    assert names_in(other) == {"laws.c"}

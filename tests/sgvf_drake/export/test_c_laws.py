@@ -142,3 +142,4 @@ def test_course_law(laws):
         vectors = np.ones((3, 2))
         vectors[place, 1] = np.nan
         assert np.isnan(course(laws, 0.3, *vectors, airspeed, gain)).all()
+    assert np.isnan(course(laws, np.nan, *np.ones((3, 2)), airspeed, gain)).all()

@@ -144,6 +144,17 @@ def test_a_tilt_is_found_with_its_angle_and_its_drift(circle, turning_field, ang
     assert row["drift_u"] == pytest.approx(3.0 * np.sin(angle), rel=0.01, abs=1e-3)
 
 
+def test_the_unit_of_the_waypoints_changes_no_drift(circle, turning_field):
+    path, samples, cloud = circle
+    row = drift_row(turning_field(cloud, 0.2), path, samples)
+    small = path.rescaled(0.01)
+    again = drift_row(
+        turning_field(PointCloud(0.01 * cloud.points), 0.2),
+        *(small, sample_path(small, 0.01 * RADIUS / 4)),
+    )
+    assert again == pytest.approx(row, abs=1e-6)
+
+
 def test_away_from_the_ring_on_both_sides_is_outward(circle, turning_field):
     path, samples, cloud = circle
 
