@@ -55,9 +55,9 @@ def test_the_order_of_the_points_changes_nothing(name: str) -> None:
     points = SHAPES[name].sample(300, 0.02, random=True, seed=1)
     networks = [
         find_paths(PointCloud(points[np.random.default_rng(seed).permutation(len(points))]))
-        for seed in range(3)
+        for seed in range(2)
     ]
-    assert networks[0].to_json() == networks[1].to_json() == networks[2].to_json()
+    assert networks[0].to_json() == networks[1].to_json()
 
 
 @pytest.mark.parametrize("name", ["Y", "eight", "Y in space"])
@@ -83,17 +83,16 @@ def test_a_network_in_another_unit_is_that_of_the_cloud_in_that_unit() -> None:
     assert rescaled == found
 
 
-@pytest.mark.parametrize("angle", [17.0, 45.0, 80.0])
-def test_turning_a_cloud_turns_its_network(angle: float) -> None:
+def test_turning_a_cloud_turns_its_network() -> None:
     points = SHAPES["roundabout"].sample(400, 0.02, random=False, seed=3)
-    turn = np.radians(angle)
-    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
     network = find_paths(PointCloud(points))
-    turned = find_paths(PointCloud(points @ rotation.T))
-    assert topology(turned) == topology(network)
-    for node in network.nodes:
-        distances = [np.linalg.norm(n.place - rotation @ node.place) for n in turned.nodes]
-        assert min(distances) < 0.15
+    for turn in np.radians([17.0, 45.0, 80.0]):
+        rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+        turned = find_paths(PointCloud(points @ rotation.T))
+        assert topology(turned) == topology(network)
+        for node in network.nodes:
+            distances = [np.linalg.norm(n.place - rotation @ node.place) for n in turned.nodes]
+            assert min(distances) < 0.15
 
 
 def test_a_course_that_crosses_itself() -> None:
@@ -155,7 +154,7 @@ def test_a_letter_whose_apex_is_no_junction() -> None:
 def demonstrations(seed: int) -> list[Array]:
     """Nine passes of one motion to a common end, whose spread falls to nothing."""
     rng = np.random.default_rng(seed)
-    u = np.linspace(0, 1, 200)
+    u = np.linspace(0, 1, 100)
     passes = []
     for _ in range(9):
         offset, scale = rng.normal(0, 3, 2), rng.uniform(0.9, 1.1)

@@ -1,5 +1,6 @@
 """Itineraries: read, refused, planned; against brute force on small networks."""
 
+from functools import cache
 import itertools
 import math
 
@@ -25,7 +26,9 @@ BOWS = {1: np.array([[2.0, 2.0]]), 2: np.array([[2.0, -1.0]]), 3: np.array([[6.0
 THETA = straight_network(np.array([[0.0, 0], [4, 0]]), [(0, 1), (0, 1), (0, 1), (1, 1)], BOWS)
 
 
+@cache
 def found(name):
+    """The network of a shape, found once."""
     return find_paths(PointCloud(SHAPES[name].sample(300, 0.02, random=False, seed=1)))
 
 

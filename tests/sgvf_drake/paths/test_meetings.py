@@ -28,7 +28,7 @@ def two_circles(gap: float, count: int, random: bool, noise: float, seed: int) -
     return rng.permutation(points + noise * U * rng.normal(size=points.shape))
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.full)])
 @pytest.mark.parametrize("gap", [1.5, 2, 3, 4])
 @pytest.mark.parametrize(("random", "noise"), [(False, 0.0), (True, 0.0), (False, 0.02)])
 def test_circles_that_nearly_touch_are_two_or_unsure(
@@ -44,7 +44,7 @@ def test_circles_that_nearly_touch_are_two_or_unsure(
 
 @pytest.mark.parametrize("name", ["eight", "X", "trefoil", "roundabout"])
 @pytest.mark.parametrize("noise", [0.0, 0.05])
-@pytest.mark.parametrize("seed", [5, 6])
+@pytest.mark.parametrize("seed", [5, pytest.param(6, marks=pytest.mark.full)])
 def test_strands_that_meet_are_sure(name: str, noise: float, seed: int) -> None:
     network = find_paths(PointCloud(SHAPES[name].sample(500, noise, random=False, seed=seed)))
     assert topology(network) in SHAPES[name].topologies

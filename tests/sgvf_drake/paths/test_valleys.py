@@ -8,6 +8,8 @@ from sgvf_drake.paths.assembly import Graph, Strand
 from sgvf_drake.paths.finding import find_paths
 from sgvf_drake.paths.valleys import runs_in_valley
 
+SEEDS = [0, *(pytest.param(seed, marks=pytest.mark.full) for seed in (1, 2))]
+
 
 def hairpin(gap, noise, count=200, seed=0):
     """Two legs of 8 U, this far apart, with a round end; evenly spaced, in random order."""
@@ -31,7 +33,7 @@ def strip(width, count=400, seed=0):
     )
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", SEEDS)
 def test_the_legs_of_a_hairpin_are_no_bundle(seed):
     """They are merged at most of the scales, which then have no vote."""
     for noise in (0.0, 0.02):
@@ -41,7 +43,7 @@ def test_the_legs_of_a_hairpin_are_no_bundle(seed):
         assert network.length == pytest.approx(16 + 0.2 * np.pi, rel=0.03)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", SEEDS)
 def test_waypoints_that_scatter_are_one_path(seed):
     for width in (0.1, 0.4):
         network = find_paths(PointCloud(strip(width, seed=seed)))
