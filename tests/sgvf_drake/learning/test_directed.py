@@ -1,6 +1,7 @@
 """Learning directed fields: what is learned from, the network and the mixture, the check."""
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +14,13 @@ from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.experiments.follow import follow_network
 from sgvf_drake.fields import DirectedField, StrandMixture, StrandNetwork, load_field
-from sgvf_drake.learning import TrainingConfig, train
+from sgvf_drake.learning import SelfCheck, TrainingConfig, train, training
 from sgvf_drake.learning.directed import HeadingNetwork, strand_loss, strand_target
 from sgvf_drake.learning.route_check import check_directed
 from sgvf_drake.learning.strands import find_strands
 from sgvf_drake.learning.support import SIGMA_DEFAULT, WIDEST_GAP
 from sgvf_drake.passages import straight_on
+from sgvf_drake.paths import PathNetwork
 from sgvf_drake.paths.finding import find_paths
 from sgvf_drake.paths.itinerary import successors
 from tests.networks import SHAPES, straight_network
@@ -26,20 +28,19 @@ from tests.networks import SHAPES, straight_network
 Array = NDArray[np.float64]
 
 
-def cloud_of(name: str, count: int = 400) -> PointCloud:
-    return PointCloud(SHAPES[name].sample(count, 0.0, random=False, seed=0))
+def cloud_of(name: str) -> PointCloud:
+    return PointCloud(SHAPES[name].sample(400, 0.0, random=False, seed=0))
 
 
-def exact(name: str) -> DirectedField:
-    field = train(cloud_of(name), TrainingConfig(recipe="exact", max_restarts=0)).field
-    assert isinstance(field, DirectedField)
-    return field
+@cache
+def network_of(name: str) -> PathNetwork:
+    """The network of that cloud, found once."""
+    return find_paths(cloud_of(name))
 
 
 @pytest.mark.parametrize("name", ["eight", "T", "Y in space"])
 def test_strands_lie_evenly_on_the_edges_and_point_along_them(name: str) -> None:
-    cloud = cloud_of(name)
-    network = find_paths(cloud)
+    cloud, network = cloud_of(name), network_of(name)
     support = find_strands(cloud, network)
     mixture, unit = support.mixture, cloud.unit_length
     assert len(mixture.points) == sum(support.counts)
@@ -114,8 +115,7 @@ class Oracle(torch.nn.Module):
 @pytest.mark.parametrize("name", ["T", "eight"])
 def test_the_mixture_itself_has_no_loss(name: str) -> None:
     torch.manual_seed(0)
-    cloud = cloud_of(name)
-    mixture = find_strands(cloud, find_paths(cloud)).mixture
+    mixture = find_strands(cloud_of(name), network_of(name)).mixture
     terms = strand_loss(Oracle(mixture), mixture)()  # type: ignore[arg-type]
     assert all(term.item() < 1e-6 for term in terms.values())
 
@@ -152,9 +152,9 @@ def test_every_edge_and_every_turn_is_driven(name: str) -> None:
     assert result.restarts == 0
 
 
-def test_a_field_that_misses_turns_fails_its_check() -> None:
+def test_a_field_that_misses_turns_fails_its_check(tee_field: DirectedField) -> None:
     """Strands that pull one way only cannot be driven back."""
-    field = exact("T")
+    field = tee_field
     assert isinstance(field.strands, StrandMixture)
     one_way = np.ones_like(field.strands.one_way)
     broken = replace(field, strands=replace(field.strands, one_way=one_way))
@@ -199,8 +199,8 @@ def test_who_turns_off_at_a_crossing_without_a_route_fails_the_check(
     assert set(faults) == (set() if kept else {"turn"})
 
 
-def test_a_field_that_leads_nowhere_is_left() -> None:
-    field = exact("eight")
+def test_a_field_that_leads_nowhere_is_left(eight_field: DirectedField) -> None:
+    field = eight_field
     assert isinstance(field.strands, StrandMixture)
     away = replace(field.strands, points=field.strands.points + 1.5)
     check = check_directed(replace(field, strands=away))
@@ -220,26 +220,31 @@ def test_acute_tips_are_told_and_a_route_turns_at_them() -> None:
     assert "edge 4 has an acute tip" in messages[4.0][0]
 
 
-def test_what_knows_fields_of_the_position_alone_refuses_others() -> None:
-    field = exact("T")
+def test_what_knows_fields_of_the_position_alone_refuses_others(
+    tee_field: DirectedField,
+) -> None:
     for examine in (verify, certify, find_singularities, enclose_zeros):
         with pytest.raises(ConfigurationError, match=r"directed field m\(x, g\) of a network"):
-            examine(field)
+            examine(tee_field)
 
 
 def test_options_of_other_fields_are_refused() -> None:
-    cloud = cloud_of("T", 200)
+    network = network_of("T")
     for name, value in (("hint_weight", 1.0), ("score_iterations", 5), ("exact_target", True)):
         config = TrainingConfig(**{name: value})
         with pytest.raises(ConfigurationError, match=f"{name} is not for paths that branch"):
-            train(cloud, config)
+            train(network, config)
 
 
-def test_training_is_repeatable_and_follows_the_seed(tmp_path: Path) -> None:
-    cloud = cloud_of("T", 200)
+def test_training_is_repeatable_and_follows_the_seed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # So few iterations would not pass it anyway.
+    monkeypatch.setattr(training, "check_directed", lambda field: SelfCheck(()))
+    network = network_of("T")
     few = {"tangent_iterations": 3, "max_restarts": 0}
     one, same, other = (
-        train(cloud, TrainingConfig(seed=seed, **few)).field for seed in (0, 0, 1)
+        train(network, TrainingConfig(seed=seed, **few)).field for seed in (0, 0, 1)
     )
     x, g = np.random.default_rng(0).normal(size=(2, 10, 2))
     np.testing.assert_array_equal(one(x, g), same(x, g))

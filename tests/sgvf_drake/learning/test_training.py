@@ -415,10 +415,11 @@ def test_what_is_learned_from_is_kept_with_the_field(concentric):
     assert np.isfinite(train(doubled, short()).field(doubled.points)).all()
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_a_network_is_trained_on_as_it_is(concentric):
     """Its lines are the waypoints, and its directions are kept."""
     network = find_paths(concentric[0], direction=("cw", "ccw"))
-    field = train(network, short(600, recipe="exact")).field
+    field = train(network, short(200, recipe="exact")).field
     assert field.network is network
     for radius, sense in ((4.0, -1), (2.0, 1)):
         x = radius * np.column_stack([np.cos(np.arange(60)), np.sin(np.arange(60))])
@@ -428,6 +429,7 @@ def test_a_network_is_trained_on_as_it_is(concentric):
         train(network, TrainingConfig(open=True))
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_paths_that_branch_are_refused_where_no_directed_field_is_learned():
     radius = np.linspace(0, 4, 60)
     arms = [np.outer(radius, [np.cos(a), np.sin(a)]) for a in np.radians([90, 210, 330])]
