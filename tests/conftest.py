@@ -22,10 +22,11 @@ RECIPES = ("robust", "exact", "paper")
 
 
 @pytest.fixture(scope="session", autouse=True)
-def few_stream_lines():
-    """Draws few of them behind what a picture shows: each takes as long as a flight."""
+def plain_pictures():
+    """Draws coarsely, and few stream lines behind what a picture shows: both take time."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(plotting, "STREAM_DENSITY", 0.3)
+        patch.setattr(plotting, "DPI", 60)
         yield
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 import importlib
 import itertools
 from pathlib import Path
@@ -10,7 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sgvf_drake.clouds import PointCloud
 from sgvf_drake.paths import PathNetwork, Piece
+from sgvf_drake.paths.finding import find_paths
 from sgvf_drake.paths.network import Edge, Node, Route
 
 Array = NDArray[np.float64]
@@ -229,6 +232,17 @@ SHAPES: dict[str, Shape] = {
         (TRIPLE,),
     ),
 }
+
+
+def clean_cloud(name: str) -> PointCloud:
+    """400 waypoints without noise on a shape."""
+    return PointCloud(SHAPES[name].sample(400, 0.0, random=False, seed=0))
+
+
+@cache
+def clean_network(name: str) -> PathNetwork:
+    """The network that is found in that cloud, once in a process."""
+    return find_paths(clean_cloud(name))
 
 
 def recorded_motions() -> list[str]:

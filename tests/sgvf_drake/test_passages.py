@@ -18,14 +18,10 @@ from sgvf_drake.paths import PathNetwork
 from sgvf_drake.paths.finding import find_paths
 from sgvf_drake.paths.itinerary import Itinerary, oriented_line
 from sgvf_drake.paths.planning import covering
-from tests.networks import SHAPES, straight_network
+from tests.networks import clean_network, straight_network
 
 Array = NDArray[np.float64]
 STEP = 0.05
-
-
-def found(name: str) -> PathNetwork:
-    return find_paths(PointCloud(SHAPES[name].sample(400, 0.0, random=False, seed=0)))
 
 
 def along(itinerary: Itinerary, laps: float = 1.0) -> Array:
@@ -49,7 +45,7 @@ def box_of(network: PathNetwork) -> tuple[Array, Array]:
 
 @pytest.mark.parametrize("name", ["T", "Y", "eight", "grid", "roundabout", "Y in space"])
 def test_a_motion_along_an_itinerary_passes_its_edges_in_order(name: str) -> None:
-    network = found(name)
+    network = clean_network(name)
     itinerary = covering(network)
     laps = 1.5 if itinerary.closed else 1.0
     edges = [p.edge for p in passages(along(itinerary, laps), network)[0]]
@@ -62,7 +58,7 @@ def test_a_motion_along_an_itinerary_passes_its_edges_in_order(name: str) -> Non
 
 
 def test_an_itinerary_is_run_along_if_no_edge_is_left_out() -> None:
-    network = found("grid")
+    network = clean_network("grid")
     tour = covering(network)
     whole = passages(along(tour, 1.3), network)[0]
     assert runs_along(whole, tour)
@@ -75,7 +71,7 @@ def test_an_itinerary_is_run_along_if_no_edge_is_left_out() -> None:
 
 
 def test_to_and_fro_through_a_gate_is_no_passage() -> None:
-    network = found("T")
+    network = clean_network("T")
     line = oriented_line(network, 1)[:, None]
     middle = len(line) // 2
     there, back = line[: middle + 3], line[middle - 3 : middle + 3][::-1]
@@ -87,9 +83,9 @@ def test_to_and_fro_through_a_gate_is_no_passage() -> None:
 
 
 def test_what_lies_ahead_of_a_crossing_is_known_both_ways() -> None:
-    network = found("eight")
+    network = clean_network("eight")
     assert straight_on(network) == {1: 2, 2: 1, -1: -2, -2: -1}
-    grid = straight_on(found("grid"))
+    grid = straight_on(clean_network("grid"))
     # One crossing with four arms.
     assert len(grid) == 4
     assert all(grid[-after] == -before for before, after in grid.items())
@@ -97,7 +93,7 @@ def test_what_lies_ahead_of_a_crossing_is_known_both_ways() -> None:
 
 def test_turns_at_a_crossing_are_not_straight() -> None:
     # A plus of four arms, each 4 long: 1 and 2 along x, 3 and 4 along y.
-    network = found("X")
+    network = clean_network("X")
     ahead = straight_on(network)
     inwards = next(number for number in ahead)
     straight = np.concatenate([oriented_line(network, n) for n in (inwards, ahead[inwards])])
@@ -108,7 +104,7 @@ def test_turns_at_a_crossing_are_not_straight() -> None:
 
 
 def test_a_route_that_is_left_counts_as_left() -> None:
-    network = found("T")
+    network = clean_network("T")
     tour = covering(network)
     wish = Itinerary.along(tour.edges[:2], network, closed=False)
     # Straight to the third edge in place of the second.
@@ -121,7 +117,7 @@ def test_a_route_that_is_left_counts_as_left() -> None:
 
 
 def test_a_route_may_be_joined_on_an_edge_that_it_has_twice() -> None:
-    network = found("grid")
+    network = clean_network("grid")
     tour = covering(network)
     assert len(set(tour.edges)) < len(tour.edges)
     whole = passages(along(tour, 2), network)[0]
@@ -130,7 +126,7 @@ def test_a_route_may_be_joined_on_an_edge_that_it_has_twice() -> None:
 
 
 def test_the_error_is_to_the_edge_in_use_and_not_to_the_nearest_one() -> None:
-    network = found("X")
+    network = clean_network("X")
     ahead = straight_on(network)
     inwards = next(iter(ahead))
     line = np.concatenate([oriented_line(network, n) for n in (inwards, ahead[inwards])])
@@ -147,7 +143,7 @@ def test_the_error_is_to_the_edge_in_use_and_not_to_the_nearest_one() -> None:
 
 
 def test_a_lap_needs_every_edge_in_order_and_near() -> None:
-    network = found("eight")
+    network = clean_network("eight")
     route = covering(network)
     whole, part = along(route, 1.9), along(route, 0.9)
     far = whole.copy()
@@ -171,7 +167,7 @@ def test_a_lap_needs_every_edge_in_order_and_near() -> None:
 
 @pytest.mark.parametrize("rests", [True, False])
 def test_rest_at_an_end_of_a_network_is_no_stall_and_elsewhere_it_is(rests: bool) -> None:
-    network = found("T")
+    network = clean_network("T")
     ends = np.array([node.place for node in network.nodes if node.kind == "end"])
     place = ends[0] if rests else network.edges[0].line.at(np.array([1.0]))[0]
     positions = np.broadcast_to(place, (400, 1, 2))

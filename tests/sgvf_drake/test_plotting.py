@@ -12,7 +12,7 @@ from sgvf_drake import plotting
 
 TIMES = np.linspace(0.0, 10.0, 101)
 
-# As users have it; see `few_stream_lines`.
+# As users have it; see `plain_pictures`.
 DENSITY = plotting.STREAM_DENSITY
 
 

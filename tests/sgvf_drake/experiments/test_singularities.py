@@ -12,7 +12,7 @@ from sgvf_drake.lyapunov import KINDS, FieldZeros, Singularities, Zero
 from sgvf_drake.plotting import new_figure
 from tests.helpers import ink, summary_of
 
-# As users have it; see `few_stream_lines`.
+# As users have it; see `plain_pictures`.
 DENSITY = plotting.STREAM_DENSITY
 FILES = {"summary.json", "zeros.csv", "singularities.png", "log_density.png"}
 KEYS = {

@@ -1,7 +1,6 @@
 """Learning directed fields: what is learned from, the network and the mixture, the check."""
 
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -20,27 +19,15 @@ from sgvf_drake.learning.route_check import check_directed
 from sgvf_drake.learning.strands import find_strands
 from sgvf_drake.learning.support import SIGMA_DEFAULT, WIDEST_GAP
 from sgvf_drake.passages import straight_on
-from sgvf_drake.paths import PathNetwork
-from sgvf_drake.paths.finding import find_paths
 from sgvf_drake.paths.itinerary import successors
-from tests.networks import SHAPES, straight_network
+from tests.networks import clean_cloud, clean_network, straight_network
 
 Array = NDArray[np.float64]
 
 
-def cloud_of(name: str) -> PointCloud:
-    return PointCloud(SHAPES[name].sample(400, 0.0, random=False, seed=0))
-
-
-@cache
-def network_of(name: str) -> PathNetwork:
-    """The network of that cloud, found once."""
-    return find_paths(cloud_of(name))
-
-
 @pytest.mark.parametrize("name", ["eight", "T", "Y in space"])
 def test_strands_lie_evenly_on_the_edges_and_point_along_them(name: str) -> None:
-    cloud, network = cloud_of(name), network_of(name)
+    cloud, network = clean_cloud(name), clean_network(name)
     support = find_strands(cloud, network)
     mixture, unit = support.mixture, cloud.unit_length
     assert len(mixture.points) == sum(support.counts)
@@ -115,7 +102,7 @@ class Oracle(torch.nn.Module):
 @pytest.mark.parametrize("name", ["T", "eight"])
 def test_the_mixture_itself_has_no_loss(name: str) -> None:
     torch.manual_seed(0)
-    mixture = find_strands(cloud_of(name), network_of(name)).mixture
+    mixture = find_strands(clean_cloud(name), clean_network(name)).mixture
     terms = strand_loss(Oracle(mixture), mixture)()  # type: ignore[arg-type]
     assert all(term.item() < 1e-6 for term in terms.values())
 
@@ -141,7 +128,7 @@ def test_the_target_is_the_mixture_of_both_kinds_of_strand(
 
 @pytest.mark.parametrize("name", ["T", "X", "eight", "roundabout"])
 def test_every_edge_and_every_turn_is_driven(name: str) -> None:
-    result = train(cloud_of(name), TrainingConfig(recipe="exact"))
+    result = train(clean_cloud(name), TrainingConfig(recipe="exact"))
     check = result.self_check
     assert check.passed, check.message
     following, ahead = successors(result.network), straight_on(result.network)
@@ -229,7 +216,7 @@ def test_what_knows_fields_of_the_position_alone_refuses_others(
 
 
 def test_options_of_other_fields_are_refused() -> None:
-    network = network_of("T")
+    network = clean_network("T")
     for name, value in (("hint_weight", 1.0), ("score_iterations", 5), ("exact_target", True)):
         config = TrainingConfig(**{name: value})
         with pytest.raises(ConfigurationError, match=f"{name} is not for paths that branch"):
@@ -241,7 +228,7 @@ def test_training_is_repeatable_and_follows_the_seed(
 ) -> None:
     # So few iterations would not pass it anyway.
     monkeypatch.setattr(training, "check_directed", lambda field: SelfCheck(()))
-    network = network_of("T")
+    network = clean_network("T")
     few = {"tangent_iterations": 3, "max_restarts": 0}
     one, same, other = (
         train(network, TrainingConfig(seed=seed, **few)).field for seed in (0, 0, 1)
@@ -258,7 +245,7 @@ def test_training_is_repeatable_and_follows_the_seed(
 @pytest.mark.full
 @pytest.mark.parametrize("name", ["eight", "T", "Y in space"])
 def test_the_robust_recipe_learns_what_the_mixture_is(name: str) -> None:
-    result = train(cloud_of(name), TrainingConfig())
+    result = train(clean_cloud(name), TrainingConfig())
     assert result.self_check.passed, result.self_check.message
     field, mixture = result.field, result.support.mixture
     assert isinstance(field, DirectedField)
