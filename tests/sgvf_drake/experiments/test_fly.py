@@ -365,7 +365,8 @@ def test_a_course_over_a_bridge_and_under_it_is_flown():
     t = 2 * np.pi * np.arange(200) / 200
     points = np.column_stack([3 * np.sin(t), 1.5 * np.sin(2 * t), 1.5 + 0.75 * np.cos(t)])
     cloud = PointCloud(np.random.default_rng(0).permutation(points))
-    result = train(cloud, TrainingConfig(recipe="exact", max_restarts=0))
+    few = TrainingConfig(recipe="exact", tangent_iterations=400, max_restarts=0)
+    result = train(cloud, few)
     assert result.network.kind(0) == "closed path"
     assert result.network.is_simple(0)
     true = ReferencePath((Piece(points, closed=True),))

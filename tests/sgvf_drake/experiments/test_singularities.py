@@ -4,7 +4,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from sgvf_drake import plotting
 from sgvf_drake.experiments import run_singularities
 from sgvf_drake.experiments.figures.singularities import MARKS, plot_zeros
 from sgvf_drake.experiments.singularities import singularity_summary
@@ -12,8 +11,6 @@ from sgvf_drake.lyapunov import KINDS, FieldZeros, Singularities, Zero
 from sgvf_drake.plotting import new_figure
 from tests.helpers import ink, summary_of
 
-# As users have it; see `plain_pictures`.
-DENSITY = plotting.STREAM_DENSITY
 FILES = {"summary.json", "zeros.csv", "singularities.png", "log_density.png"}
 KEYS = {
     *("zeros", "winding_number", "index_sum", "score_winding_number", "score_index_sum"),
@@ -27,9 +24,7 @@ KEYS = {
 def found(tmp_path_factory, robust_field):
     """The folder of the singularities of a trained field around two rings."""
     out = tmp_path_factory.mktemp("singularities") / "out"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(plotting, "STREAM_DENSITY", DENSITY)
-        returned = run_singularities(robust_field, None, out)
+    returned = run_singularities(robust_field, None, out)
     assert returned["index_sum"] == summary_of(out)["index_sum"]
     return out
 
