@@ -22,6 +22,8 @@ from .flying import SPEED, STATE, differences, order
 
 STEPS = 10.0 ** np.linspace(-2.0, -3.5, 4)
 HEADING = np.array([0.6, -0.3])
+# s, in which agents of one U a second are told where to go, and move.
+STEP = 0.05
 
 
 def guide(system, state, heading, intended=None):
@@ -127,20 +129,6 @@ def test_an_eight_is_flown_straight_over_its_crossing(eight_field):
     assert metrics.rms[0] < 0.01 * field.cloud.unit_length
 
 
-def drive(field, x, h, duration, navigator=None):
-    motion, unit = field.with_memory(), field.cloud.unit_length
-    diagram = MakeKinematicDiagram(
-        motion, len(x), speed=unit, log_period=0.05, navigator=navigator
-    )
-    simulator = MakeSimulator(diagram, step=0.05)
-    context = simulator.get_mutable_context()
-    SetPositions(diagram, context, np.concatenate([x, h], axis=1))
-    simulator.AdvanceTo(duration)
-    log = diagram.GetSubsystemByName("positions_log").FindLog(context)
-    states = log.data().T.reshape(-1, len(x), motion.dim)
-    return log.sample_times() * unit, states[..., : field.dim]
-
-
 @pytest.mark.parametrize(
     "seed", [0, *(pytest.param(k, marks=pytest.mark.full) for k in (1, 2))]
 )
@@ -152,9 +140,19 @@ def test_agents_from_anywhere_make_every_turn_of_a_route(tee_field, seed):
     h = rng.normal(size=(12, 2))
     h /= np.linalg.norm(h, axis=1, keepdims=True)
     unit = tee_field.cloud.unit_length
-    navigator = Navigator(route, tee_field.memory_length, step=0.01 * unit)
-    duration = 1.2 * route.length / unit + 10
-    times, positions = drive(tee_field, x, h, duration, navigator)
+    navigator = Navigator(route, tee_field.memory_length, step=STEP * unit)
+    diagram = MakeKinematicDiagram(
+        *(tee_field.with_memory(), 12, unit),
+        log_period=STEP,
+        navigator=navigator,
+        navigation_period=STEP,
+    )
+    simulator = MakeSimulator(diagram, step=STEP)
+    context = simulator.get_mutable_context()
+    SetPositions(diagram, context, np.concatenate([x, h], axis=1))
+    simulator.AdvanceTo(1.2 * route.length / unit + 10)
+    log = diagram.GetSubsystemByName("positions_log").FindLog(context)
+    times, positions = log.sample_times() * unit, log.data().T.reshape(-1, 12, 4)[..., :2]
     metrics = network_metrics(
         times, positions, tee_field.network, tee_field.cloud.box, tee_field.ends, route
     )

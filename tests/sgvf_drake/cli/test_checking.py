@@ -177,8 +177,8 @@ FLIGHT = ("--scale", 0.1, "--speed", 1.5, "--laps", 1)
 
 def test_a_flight_is_held_against_the_certificate(run, fields, tmp_path, capsys):
     out, field = tmp_path / "out", fields / "ring.safetensors"
-    against = ("--html", "--certificate", CERTIFICATE)
-    assert run("fly", field, *FLIGHT, *against, "--out", out) == 0
+    against = ("--certificate", CERTIFICATE)
+    assert run("fly", field, *FLIGHT, "--html", *against, "--out", out) == 0
     flight = {f"flight_1.{kind}" for kind in ("html", "parquet", "png")}
     assert names_in(out) == {"summary.json", "certificate.png", *flight}
     found, claimed = summary_of(out)["certificate"], Certificate.load(CERTIFICATE)
