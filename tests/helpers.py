@@ -1,6 +1,7 @@
-"""What many tests look at: the results in a folder, how much is drawn, points on a circle."""
+"""What many tests look at: results in a folder, how much is drawn, points on a circle."""
 
 import json
+import os
 from pathlib import Path
 
 from matplotlib.image import imread
@@ -31,3 +32,10 @@ def circle(radius, count, center=(0.0, 0.0)):
     """Equally spaced points on a circle, counter-clockwise from its right."""
     angle = 2 * np.pi * np.arange(count) / count
     return center + radius * np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+class Trap:
+    """Unpickling it leaves a trace."""
+
+    def __reduce__(self):
+        return os.mkdir, ("sprung",)

@@ -29,7 +29,7 @@ for name in ("Major feasibility tolerance", "Major optimality tolerance"):
 PROBLEMS = ("across the circle", "learned")
 
 
-@pytest.fixture(params=PROBLEMS)
+@pytest.fixture(scope="module", params=PROBLEMS)
 def problem(request, circle_field, make_field):
     """A field, a start and a goal that its flow does not lead to."""
     if request.param == "learned":
@@ -75,6 +75,12 @@ def steer(field, start, goal, num_knots):
     )
 
 
+@pytest.fixture(scope="module")
+def plans(problem):
+    """What is found on each grid, from the coarsest to the finest."""
+    return [steer(*problem, int(knots)) for knots in KNOTS]
+
+
 def drive(field, start, u, breaks):
     """The end of the motion under an input, integrated piece by piece by SciPy."""
     p = start
@@ -115,11 +121,10 @@ def least_effort(field, start, goal):
     return np.trapezoid((found.sol(fine)[2:] ** 2).sum(axis=0), fine)
 
 
-def test_simulated_again_the_agent_reaches_the_goal_ever_closer(problem):
+def test_simulated_again_the_agent_reaches_the_goal_ever_closer(problem, plans):
     field, start, goal = problem
     misses = []
-    for knots in KNOTS:
-        u, path, _ = steer(field, start, goal, int(knots))
+    for u, path, _ in plans:
         assert (path.start_time(), path.end_time()) == pytest.approx((0.0, DURATION))
         np.testing.assert_allclose(path.value(0.0)[:, 0], start, atol=1e-8)
         np.testing.assert_allclose(path.value(DURATION)[:, 0], goal, atol=1e-8)
@@ -130,11 +135,10 @@ def test_simulated_again_the_agent_reaches_the_goal_ever_closer(problem):
     assert misses[-1] < 1e-6
 
 
-def test_effort_converges_to_that_of_the_necessary_conditions(problem):
-    field, start, goal = problem
-    expected = least_effort(field, start, goal)
+def test_effort_converges_to_that_of_the_necessary_conditions(problem, plans):
+    expected = least_effort(*problem)
     # Of the second order, as the trapezoidal rule that sums the effort up; on the coarsest
     # grid the error may still be small by chance.
-    errors = [abs(steer(field, start, goal, int(n))[2] / expected - 1.0) for n in KNOTS[1:]]
+    errors = [abs(cost / expected - 1.0) for _, _, cost in plans[1:]]
     assert -order(KNOTS[1:] - 1, errors) == pytest.approx(2.0, abs=0.25)
     assert errors[-1] < 1e-3

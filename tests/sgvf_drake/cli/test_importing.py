@@ -1,6 +1,5 @@
 """The command `import`: what it leaves, what it prints, and what it says to bad input."""
 
-import os
 import re
 
 import numpy as np
@@ -9,14 +8,7 @@ import torch
 
 from sgvf_drake import PointCloud
 from sgvf_drake.experiments import choose_reference, fly, follow, open_field
-from tests.helpers import circle, ink, names_in, summary_of
-
-
-class Trap:
-    """Unpickling it leaves a trace."""
-
-    def __reduce__(self):
-        return os.mkdir, ("sprung",)
+from tests.helpers import Trap, circle, ink, names_in, summary_of
 
 
 @pytest.fixture(scope="module")

@@ -13,6 +13,7 @@ from torch import nn
 from sgvf_drake import FieldFileError
 from sgvf_drake.fields.activation import ACTIVATIONS
 from sgvf_drake.learning.checkpoints import load_checkpoint
+from tests.helpers import Trap
 
 SCORE, TANGENT = [3, 16, 16, 2], [2, 16, 2]
 
@@ -207,13 +208,6 @@ def test_random_damage_is_either_harmless_or_told(make_sequential, save):
             messages.append(str(error))
     assert all("net.pth: " in message and "\n" not in message for message in messages)
     assert len(messages) > 10
-
-
-class Trap:
-    """Unpickling it leaves a trace."""
-
-    def __reduce__(self):
-        return os.mkdir, ("sprung",)
 
 
 def test_nothing_is_unpickled(make_sequential, save, tmp_path, monkeypatch):

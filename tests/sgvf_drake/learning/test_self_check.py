@@ -1,6 +1,7 @@
 """The self-check lets pass what can be followed, and names what is wrong with the rest."""
 
 from dataclasses import dataclass, field, replace
+from functools import cache
 import json
 import re
 
@@ -14,6 +15,8 @@ from sgvf_drake.paths import ReferencePath, make_shape
 from sgvf_drake.paths.finding import find_paths
 
 ALL = STARTS + STARTS_AROUND
+# Of one cloud, the network is the same for all fields.
+network_of = cache(find_paths)
 
 
 def kinds(piece):
@@ -34,7 +37,7 @@ class Stand:
 
     @property
     def network(self):
-        return find_paths(self.cloud)
+        return network_of(self.cloud)
 
 
 def around(*radii, sign=1.0):
