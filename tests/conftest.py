@@ -12,13 +12,11 @@ from sgvf_drake import plotting
 from sgvf_drake.fields import load_field
 from sgvf_drake.paths import make_shape
 from tests.data.make import field_file, network_cloud, open_circle
-from tests.fields import random_field, random_perceptron
+from tests.fields import RECIPES, random_field, random_perceptron
 
 # Machines are noisy: no test asserts a time, neither does one of hypothesis.
 settings.register_profile("without a deadline", deadline=None)
 settings.load_profile("without a deadline")
-
-RECIPES = ("robust", "exact", "paper")
 
 
 @pytest.fixture(scope="session", autouse=True)

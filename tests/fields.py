@@ -10,6 +10,7 @@ from sgvf_drake.fields import (
     FourierFeatures,
     GaussianMixture,
     GuidingField,
+    NormalisedComposition,
     PaperComposition,
     Perceptron,
     RobustComposition,
@@ -19,6 +20,14 @@ from sgvf_drake.fields import (
 )
 from tests.helpers import circle
 
+RECIPES = ("robust", "exact", "paper")
+# Every way to put score and tangent together.
+COMPOSITIONS = {
+    "paper": PaperComposition(0.8),
+    "normalised": NormalisedComposition(0.8),
+    "robust": RobustComposition(0.8, 0.4),
+    "unprojected": RobustComposition(0.8, 0.4, projects=False),
+}
 # A quarter turn, counter-clockwise; one about the diagonal of space, and the plane across that.
 TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
 SPIN = np.array([[0, -1, 1], [1, 0, -1], [-1, 1, 0]]) / np.sqrt(3)

@@ -18,15 +18,9 @@ from sgvf_drake.certificate.patches import Patches
 from sgvf_drake.certificate.taylor_model import TaylorModel
 from sgvf_drake.clouds import PointCloud
 from sgvf_drake.exceptions import ConfigurationError
-from sgvf_drake.fields import (
-    NormalisedComposition,
-    PaperComposition,
-    Perceptron,
-    RobustComposition,
-    load_field,
-)
+from sgvf_drake.fields import Perceptron, load_field
 from sgvf_drake.fields.activation import ACTIVATIONS, find_activation
-from tests.fields import random_field, random_perceptron
+from tests.fields import COMPOSITIONS, random_field, random_perceptron
 
 from .ball_fields import BallField
 from .balls import vector
@@ -107,15 +101,7 @@ def check_bounds(field, half, count=60):
     return worst
 
 
-COMPOSITIONS = (
-    PaperComposition(0.8),
-    NormalisedComposition(0.8),
-    RobustComposition(0.8, 0.4),
-    RobustComposition(0.8, 0.4, projects=False),
-)
-
-
-@pytest.mark.parametrize("composition", COMPOSITIONS, ids=str)
+@pytest.mark.parametrize("composition", COMPOSITIONS.values(), ids=COMPOSITIONS)
 @pytest.mark.parametrize("dim", [2, 3])
 def test_float_is_within_its_bound_whatever_the_composition(composition, dim):
     for recipe in ("robust", "paper"):

@@ -11,13 +11,13 @@ from sgvf_drake.certificate.boxes import BoxSizes
 from sgvf_drake.certificate.mixture_model import MixtureModel, lowest_of, mixture_of
 from tests.data.make import field_file
 from tests.fields import DIRECTED_KINDS as KINDS
+from tests.fields import RECIPES
 from tests.fields import random_directed_field as field_of
 
 from .audit import audit, held, random_patches
 from .ball_fields import BallField
 from .balls import mixture_at, point_of
 
-RECIPES = ("robust", "exact", "paper")
 # Sides of patches, from large ones to those about which rounding matters.
 HALVES = (2.0**-5, 2.0**-13)
 FEW_POINTS = 3

@@ -15,25 +15,20 @@ from sgvf_drake.fields import (
     Composition,
     CurveField,
     FourierCurve,
-    NormalisedComposition,
-    PaperComposition,
-    RobustComposition,
     ScoreNetwork,
 )
 from sgvf_drake.fields.activation import ACTIVATIONS
 from sgvf_drake.fields.storage import field_digest
 from tests.c_code import CField, compile_c
-from tests.fields import random_field
+from tests.fields import (
+    COMPOSITIONS,
+    DIRECTED_KINDS,
+    RECIPES,
+    random_directed_field,
+    random_field,
+)
 from tests.helpers import names_in
-from tests.sgvf_drake.fields.test_directed import KINDS, field_of
 
-COMPOSITIONS = {
-    "paper": PaperComposition(0.8),
-    "normalised": NormalisedComposition(0.8),
-    "robust": RobustComposition(0.8, 0.4),
-    "unprojected": RobustComposition(0.8, 0.4, projects=False),
-}
-RECIPES = ("robust", "exact", "paper")
 TOLERANCE = {"mixed": 2e-12, "double": 2e-12, "float": 2e-4}
 """Of errors relative to the largest number beyond 1."""
 
@@ -123,11 +118,11 @@ def test_every_combination(composition, activation, precision, tmp_path):
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", DIRECTED_KINDS)
 def test_directed_fields(kind, dim, tmp_path):
     rng = np.random.default_rng(3)
     for precision, ends in (("mixed", True), ("float", False)):
-        field = field_of(kind, dim, ends)
+        field = random_directed_field(kind, dim, ends)
         # Its waypoints are no path, so that there is no route.
         code = CField(field, tmp_path / precision, precision, routes=())
         x, tolerance = queries(field), TOLERANCE[precision]

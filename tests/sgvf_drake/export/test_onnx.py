@@ -27,9 +27,8 @@ from sgvf_drake.fields import (
     load_field,
 )
 from sgvf_drake.fields.activation import ACTIVATIONS
-from tests.fields import DIRECTED_KINDS, random_directed_field, random_field
+from tests.fields import DIRECTED_KINDS, RECIPES, random_directed_field, random_field
 
-RECIPES = ("robust", "exact", "paper")
 COMPOSITIONS = (
     PaperComposition(0.8),
     NormalisedComposition(0.8),

@@ -22,20 +22,16 @@ from sgvf_drake.exceptions import ConfigurationError
 from sgvf_drake.fields import (
     Composition,
     GaussianMixture,
-    NormalisedComposition,
-    PaperComposition,
     RobustComposition,
     ScoreNetwork,
 )
 from sgvf_drake.fields.activation import ACTIVATIONS
 from sgvf_drake.fields.compiled.evaluation import SOURCES, evaluate, evaluate_motion
+from tests import fields
+from tests.fields import RECIPES
 
-RECIPES = ("robust", "exact", "paper")
 COMPOSITIONS = {
-    "paper": PaperComposition(0.8),
-    "normalised": NormalisedComposition(0.8),
-    "robust": RobustComposition(0.8, 0.4),
-    "unprojected": RobustComposition(0.8, 0.4, projects=False),
+    **fields.COMPOSITIONS,
     "resting": RobustComposition(0.8, 0.4, projects=False, tangent_share=0.3),
 }
 EACH_COMPOSITION = pytest.mark.parametrize(

@@ -18,24 +18,14 @@ from sgvf_drake.fields import (
     GaussianMixture,
     ImplicitField,
     LagrangeCurve,
-    NormalisedComposition,
-    PaperComposition,
     ParametricField,
     PursuitField,
-    RobustComposition,
     ScoreNetwork,
     load_field,
 )
 from sgvf_drake.fields.activation import ACTIVATIONS
 from sgvf_drake.fields.base import CompilableField
-
-RECIPES = ("robust", "exact", "paper")
-COMPOSITIONS = {
-    "paper": PaperComposition(0.8),
-    "normalised": NormalisedComposition(0.8),
-    "projected": RobustComposition(0.8, 0.4),
-    "unprojected": RobustComposition(0.8, 0.4, projects=False),
-}
+from tests.fields import COMPOSITIONS, RECIPES
 
 
 def learned(recipe, activation=None, composition=None, **options):

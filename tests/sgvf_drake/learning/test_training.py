@@ -24,8 +24,8 @@ from sgvf_drake.learning.optimization import Optimization
 from sgvf_drake.learning.self_check import Fault, PieceCheck
 from sgvf_drake.paths import make_shape
 from sgvf_drake.paths.finding import find_paths
+from tests.fields import RECIPES
 
-RECIPES = ("robust", "exact", "paper")
 EACH = pytest.mark.parametrize("recipe", RECIPES)
 STAGES = {"robust": ["score", "tangent"], "exact": ["tangent"], "paper": ["score", "tangent"]}
 TERMS = ("unit", "orthogonality", "direction", "hint")
