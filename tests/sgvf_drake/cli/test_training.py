@@ -59,7 +59,7 @@ def test_a_training_from_end_to_end(run, inputs, tmp_path):
     out = tmp_path / "deep" / "out"
     points = ("--points", inputs / "two.csv", "--columns", "east, north")
     # Few iterations, which are enough for the closed-form score of two circles.
-    few = ("--recipe", "exact", "--tangent-iterations", 600, "--seed", 3)
+    few = ("--recipe", "exact", "--tangent-iterations", 300, "--seed", 3)
     assert run("train", *points, *few, "--out", out) == 0
     assert names_in(out) == FILES
     summary = summary_of(out)

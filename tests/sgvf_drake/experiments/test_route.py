@@ -17,7 +17,7 @@ from systems import Mode, SensorParameters
 from tests.helpers import names_in, summary_of
 from tests.networks import straight_network
 
-SPEED = 0.45
+SPEED = 0.55
 
 
 @pytest.fixture(scope="module")
