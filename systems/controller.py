@@ -28,7 +28,13 @@ from systems.scalars import (
     compilable,
     template,
 )
-from systems.se3_law import Body, CalcAcceleration, CalcPropellerInput, Gains
+from systems.se3_law import (
+    NUM_DERIVATIVES,
+    Body,
+    CalcAcceleration,
+    CalcPropellerInput,
+    Gains,
+)
 
 DEFAULT_GAINS = Gains(
     velocity_gain=3.0, attitude_bandwidth=12.0, damping_ratio=0.7, heading=0.0
@@ -62,6 +68,7 @@ def Se3Methods(T: type) -> Any:
         _state: Any
         _velocity_command: Any
         _acceleration_feedforward: Any
+        _command_derivatives: Any = None
 
         def _DeclareController(
             self,
@@ -142,6 +149,13 @@ def Se3Methods(T: type) -> Any:
                 gains[HEADING] = self._heading.Eval(context)[0]
             return gains
 
+        def _ReadDerivatives(self, context: Any) -> np.ndarray:
+            """Returns the derivatives of the command, or none."""
+            port = self._command_derivatives
+            if port is None or not port.HasValue(context):
+                return self._undisturbed[:0]
+            return port.Eval(context)
+
         def _CalcDisturbance(self, context: Any) -> np.ndarray:
             """Returns what disturbs the vehicle, (3,) in m/s^2 in W."""
             if self._predicted_velocity is None:
@@ -155,6 +169,7 @@ def Se3Methods(T: type) -> Any:
                 self._state.Eval(context),
                 self._velocity_command.Eval(context),
                 self._acceleration_feedforward.Eval(context),
+                self._ReadDerivatives(context),
                 self._CalcDisturbance(context),
                 self._ReadGains(context),
                 context.get_numeric_parameter(self.body_index).CopyToVector(),
@@ -185,6 +200,8 @@ def Se3Methods(T: type) -> Any:
         def _CheckInputs(self, context: Any) -> None:
             for port in (self._state, self._velocity_command, self._acceleration_feedforward):
                 CheckFinite(self, context, port, ToList(port.Eval(context)))
+            derivatives = ToList(self._ReadDerivatives(context))
+            CheckFinite(self, context, self._command_derivatives, derivatives)
             if self._heading.HasValue(context):
                 heading = self._heading.Eval(context)
                 CheckFinite(self, context, self._heading, ToList(heading))
@@ -206,6 +223,7 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
             - state
             - velocity_command
             - acceleration_feedforward
+            - command_derivatives
             - heading
             - predicted_velocity
             output_ports:
@@ -215,6 +233,11 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
         `state` (12) is QuadrotorPlant's, in metres, radians and seconds; z is up.
 
         `velocity_command` (3) in m/s and `acceleration_feedforward` (3) in m/s^2 are in W.
+
+        `command_derivatives` (24), in W, are those of `systems.se3_law.NUM_DERIVATIVES`; the
+        port may stay unconnected.  With them the desired attitude turns exactly as the command
+        asks.  Without them it is taken to turn with the path, which leaves errors that grow
+        with the speed and with how fast the field turns to the path.
 
         `heading` (1), the desired yaw in rad, takes the place of that of the gains; it may stay
         unconnected.  A vehicle turns to it from any yaw (see `systems.se3_law.LimitHeading`).
@@ -264,6 +287,9 @@ def Se3Controller_(T: type) -> Any:  # noqa: D103 (the class below says it)
             self._acceleration_feedforward = self.DeclareVectorInputPort(
                 "acceleration_feedforward", 3
             )
+            self._command_derivatives = self.DeclareVectorInputPort(
+                "command_derivatives", NUM_DERIVATIVES
+            )
             self._DeclareController(
                 {self.all_input_ports_ticket()}, parameters, gains, saturate
             )
@@ -304,6 +330,7 @@ def _MakeCompiled(sources: int) -> Any:
         state: np.ndarray,
         velocity_command: np.ndarray,
         acceleration: np.ndarray,
+        derivatives: np.ndarray,
         disturbance: np.ndarray,
         gains: np.ndarray,
         body: np.ndarray,
@@ -316,6 +343,7 @@ def _MakeCompiled(sources: int) -> Any:
             np.isfinite(state).all()
             and np.isfinite(velocity_command).all()
             and np.isfinite(acceleration).all()
+            and np.isfinite(derivatives).all()
             and np.isfinite(disturbance).all()
             and AreUsable(gains, body)
         )
@@ -326,6 +354,7 @@ def _MakeCompiled(sources: int) -> Any:
                 state,
                 velocity_command,
                 acceleration,
+                derivatives,
                 disturbance,
                 gains,
                 body,

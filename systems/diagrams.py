@@ -71,8 +71,8 @@ def MakeFlightDiagram(
         level: Of the sublevel set of V that is watched.
         meshcat: Shows the flight of a quadrotor; see `AddFlightVisualization`.  The diagram can
             then not be converted to AutoDiffXd.
-        **guidance: `speed`, `altitude`, `sample_period`, `feedforward`, `saturate`, `gains`,
-            `sensors`, `supervisor` and `heading` as in `AddGuidance`.
+        **guidance: `speed`, `altitude`, `sample_period`, `feedforward`, `jerk_feedforward`,
+            `saturate`, `gains`, `sensors`, `supervisor` and `heading` as in `AddGuidance`.
 
     Raises:
         ConfigurationError: if an argument cannot be used.

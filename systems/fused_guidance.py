@@ -75,6 +75,7 @@ def FusedGuidance_(T: type) -> Any:  # noqa: D103 (the class below says it)
             - velocity_command
             - acceleration_feedforward
             - speed
+            - command_derivatives
             - propeller_force
             - acceleration
             - constants
@@ -242,8 +243,10 @@ def _FillInForces(
     if constants[_FEEDS_FORWARD] == 0.0:
         commands[3:] = 0.0
     disturbance = gains[4] * (state[VELOCITY] - predicted_velocity)
+    unknown = commands[:0]
     forces = CalcPropellerInput(
-        state, commands[:3], commands[3:], disturbance, gains, body, rotors, gravity, saturates
+        *(state, commands[:3], commands[3:], unknown, disturbance),
+        *(gains, body, rotors, gravity, saturates),
     )
     lift = 0.0
     for i in range(4):

@@ -1,6 +1,6 @@
 """From the vehicle's state to a velocity command, by the guiding vector field."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
 import math
 from typing import Any, NamedTuple
@@ -36,6 +36,7 @@ from systems.scalars import (
     compilable,
     template,
 )
+from systems.se3_law import NUM_DERIVATIVES
 
 DEFAULT_SPEED = 0.45
 """m/s; a calm indoor pace.  The paper does not give the speed of its flights."""
@@ -57,6 +58,11 @@ path, below it costs nothing measurable."""
 
 LENGTH_ROUNDING = 1e-9
 """A heading may be longer than 1 by this, for rounding."""
+
+DIFFERENCE_TIME = 0.001
+"""s; the derivatives of a command are of differences between where the vehicle was, is and will
+be, this long before and after.  They are then as exact as (speed times this / approach length)
+squared, and rounding does not show."""
 
 WIDENED_FIELDS = 8
 """Fields of other approach lengths that a system keeps, one for each speed in use."""
@@ -124,6 +130,7 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             - velocity_command
             - acceleration_feedforward
             - speed
+            - command_derivatives
 
         `position` (3) is p_WB in m and `velocity` (3) is v_WB in m/s; z is up.
 
@@ -137,6 +144,10 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
         The output `speed` (1) in m/s is the parameter of that name or, where the input `speed`
         (1) is connected, the lesser of the two: the approach length is for the parameter, so a
         faster vehicle could not follow.  The feed-forward takes this speed as constant.
+
+        `command_derivatives` (24) in W are those of `systems.se3_law.NUM_DERIVATIVES`, by
+        differences over `DIFFERENCE_TIME`; they cost two more evaluations of the field, and
+        only where they are asked for.  A directed field has no such port.
 
         A directed field m(x, g) is followed with g = h, a heading that is remembered in the
         continuous state (d), of no unit and of length at most 1.  It turns to a further input,
@@ -225,6 +236,13 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             asked = self.input_port_ticket(self._asked.get_index())
             DeclareCommandPorts(self, T, self._CalcCommands, {*sources, asked})
             self.DeclareVectorOutputPort("speed", 1, self._CalcSpeed, {parameters, asked})
+            if self._intended is None:
+                self.DeclareVectorOutputPort(
+                    "command_derivatives",
+                    NUM_DERIVATIVES,
+                    self._CalcDerivatives,
+                    {*sources, asked},
+                )
 
         def _DeclareHeading(self, field: SteerableField, sources: set[Any]) -> set[Any]:
             """Declares what a directed field needs; returns what the commands depend on too."""
@@ -392,6 +410,22 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
                 commands[3:] = T(0.0)
             return commands
 
+        def _CalcDerivatives(self, context: Any, output: Any) -> None:
+            p, v = self._EvalVehicle(context)
+            speed, altitude, approach_length = self._ReadParameters(context)
+            speed = self._FlownSpeed(context, speed)
+            field, d = self._Flown(approach_length), self._field.dim
+            commands = []
+            for h in (-DIFFERENCE_TIME, 0.0, DIFFERENCE_TIME):
+                place = p + h * v
+                m_and_J = field.evaluate(place[:d])
+                commands.append(CalcCommandAt(m_and_J, place, speed, altitude))
+            derivatives = CalcDerivatives(commands, v)
+            if not all(map(math.isfinite, ToList(derivatives))):
+                self._CheckVehicle(context)
+                CheckFinite(self, context, "a derivative of the command", ToList(derivatives))
+            output.SetFromVector(derivatives)
+
         def _FlownSpeed(self, context: Any, speed: Scalar) -> Scalar:
             """Returns the speed of the parameter, or that of the input, if it is less."""
             if not self._asked.HasValue(context):
@@ -489,6 +523,44 @@ def CompleteCommands(
         climb = Tanh(ALTITUDE_GAIN * (altitude - p_WB[2]) / MAX_CLIMB_RATE)
         commands[2] = MAX_CLIMB_RATE * climb
         commands[5] = -ALTITUDE_GAIN * (1.0 - climb * climb) * v_WB[2]
+
+
+def CalcCommandAt(
+    field: np.ndarray, p_WB: np.ndarray, speed: Scalar, altitude: Scalar
+) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the command U (3,) in m/s at a place, and its derivative DU (3, 3) in 1/s.
+
+    Args:
+        field: m and J by rows, (d + d^2,), at the place.
+        p_WB: The place (3,) in m.
+        speed: In m/s.
+        altitude: In m.
+    """
+    columns = [
+        _CalcCommands(field, p_WB, axis, speed, altitude, np.empty(6, field.dtype))
+        for axis in np.eye(3)
+    ]
+    return columns[0][:3], np.stack([column[3:] for column in columns], axis=1)
+
+
+def CalcDerivatives(
+    commands: Sequence[tuple[np.ndarray, np.ndarray]], v_WB: np.ndarray
+) -> np.ndarray:
+    """Returns the derivatives of a command, (`NUM_DERIVATIVES`,).
+
+    Those along the velocity are second differences, of the command and of DU v: the latter is
+    the derivative of the former along the velocity, exactly.
+
+    Args:
+        commands: U and DU where the vehicle was, is and will be; see `CalcCommandAt`.
+        v_WB: Its velocity (3,) in m/s.
+    """
+    (U_0, DU_0), (U_1, DU_1), (U_2, DU_2) = commands
+    h = DIFFERENCE_TIME
+    second = (U_0 - 2.0 * U_1 + U_2) / h**2
+    third = (DU_0 - 2.0 * DU_1 + DU_2) @ v_WB / h**2
+    D2U_v = (DU_2 - DU_0) / (2.0 * h)
+    return np.concatenate([second, third, DU_1.ravel(), D2U_v.ravel()])
 
 
 def _CalcCommandsInPython(

@@ -79,6 +79,7 @@ class GuidanceLoop(Diagram):
         supervisor: A `BranchSupervisor`, or None.
         heading: A `HeadingSystem`, for a controller with an input `heading` (1), or None.
         actuation: The name of the controller's output.
+        jerk_feedforward: Whether the controller is told the `command_derivatives` of guidance.
 
     Raises:
         ConfigurationError: if a port is missing.
@@ -92,6 +93,7 @@ class GuidanceLoop(Diagram):
         supervisor: Any = None,
         heading: Any = None,
         actuation: str = Quadrotor.actuation,
+        jerk_feedforward: bool = False,
     ) -> None:
         super().__init__()
         self.actuation, self._is_fused = actuation, controller is guidance
@@ -99,6 +101,9 @@ class GuidanceLoop(Diagram):
             asked = COMMANDS if supervisor is None else (*COMMANDS, "speed")
             _CheckPorts(guidance, "guidance", MOTION, asked)
             _CheckPorts(controller, "the controller", ("state", *COMMANDS), (actuation,))
+        if jerk_feedforward:
+            _CheckPorts(guidance, "guidance", (), ("command_derivatives",))
+            _CheckPorts(controller, "the controller", ("command_derivatives",), ())
         if heading is not None:
             _CheckPorts(heading, "heading", ("position", "velocity_command"), ("heading",))
             _CheckPorts(controller, "a controller that is told a heading", ("heading",), ())
@@ -113,6 +118,8 @@ class GuidanceLoop(Diagram):
         else:
             self.controller = builder.AddNamedSystem("controller", controller)
             self._ConnectTwo(builder, supervisor)
+        if jerk_feedforward:
+            _Connect(builder, guidance, controller, "command_derivatives")
         self._predictor: Any = None
         if controller.HasInputPort("predicted_velocity"):
             self._AddPredictor(builder)
@@ -229,6 +236,7 @@ def AddGuidance(
     altitude: float = DEFAULT_ALTITUDE,
     sample_period: float = DEFAULT_SAMPLE_PERIOD,
     feedforward: bool = True,
+    jerk_feedforward: bool = False,
     saturate: bool = True,
     gains: Gains = DEFAULT_GAINS,
     sensors: SensorParameters | None = None,
@@ -257,6 +265,9 @@ def AddGuidance(
         sample_period: Of an ideal motion capture, and so of the whole loop, in s; 0 leaves
             sampling out, so that the loop is continuous.
         feedforward: As in `GuidanceSystem`.
+        jerk_feedforward: Whether a quadrotor is told the derivatives of the command too, so
+            that it turns exactly as the field asks; see `Se3Controller`.  It is for fields that
+            are not directed, without a supervisor.
         saturate: As in `Se3Controller`, of a quadrotor's parameters.
         gains: As in `Se3Controller`, of a quadrotor's parameters.
         sensors: Noise, delay and rates of the measurements; None: the ideal motion capture.
@@ -284,13 +295,17 @@ def AddGuidance(
             f"the state of a {vehicle.name} is {', '.join(vehicle.state_columns)}; that of "
             f"{plant.get_name()!r} has {plant.GetOutputPort('state').size()} entries"
         )
+    if jerk_feedforward and (supervisor is not None or not feedforward):
+        raise ConfigurationError(
+            "`jerk_feedforward` adds to the feed-forward of a field, and a supervisor has none"
+        )
     speed = vehicle.own_speed if speed is None else speed
     guide: Any = guidance
     controller: Any = vehicle.MakeController()
     is_fused = False
     if not isinstance(guidance, System):
         flown = (guidance, speed, altitude, feedforward, vehicle.approach_rate)
-        between = supervisor is not None or heading is not None
+        between = supervisor is not None or heading is not None or jerk_feedforward
         can_be = HasCompiledForm(guidance) and type(controller) is Se3Controller
         is_fused = fused and can_be and not between
         if is_fused:
@@ -299,7 +314,9 @@ def AddGuidance(
             guide = GuidanceSystem(*flown)
         vehicle.CheckGuided(guidance.dim, speed)
     capture = vehicle.MakeMotionCapture(sample_period, sensors, is_fused)
-    loop = GuidanceLoop(guide, controller, capture, supervisor, heading, actuation)
+    loop = GuidanceLoop(
+        *(guide, controller, capture, supervisor, heading, actuation, jerk_feedforward)
+    )
     builder.AddNamedSystem(name, loop)
     builder.Connect(measured_port or plant.GetOutputPort("state"), loop.GetInputPort("state"))
     _Connect(builder, loop, plant, actuation)

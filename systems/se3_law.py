@@ -54,6 +54,11 @@ _LEAST_COSINE = math.cos(MAX_HEADING_ERROR)
 SLOW_SPEED = 0.05
 """Below about this speed, m/s, the direction of travel is not known well enough to turn."""
 
+NUM_DERIVATIVES = 24
+"""What a command tells beside itself and its rate, in W, with U the velocity that is commanded
+at a place and v the vehicle's own: D2U[v, v] (3) in m/s^3, D3U[v, v, v] (3) in m/s^4, DU (3, 3)
+in 1/s and D2U[v, .] (3, 3) in 1/s^2, both by rows."""
+
 
 class Gains(NamedTuple):
     """The gains of the law.
@@ -95,6 +100,7 @@ def CalcPropellerInput(
     state: Any,
     velocity_command: Any,
     acceleration: Any,
+    derivatives: Any,
     disturbance: Any,
     gains: Any,
     body: Any,
@@ -108,6 +114,7 @@ def CalcPropellerInput(
         state: The vehicle's, (12,).
         velocity_command: The velocity command in W, (3,) in m/s.
         acceleration: The feed-forward in W, (3,) in m/s^2.
+        derivatives: Those of the command, (`NUM_DERIVATIVES`,), or (0,): they are not known.
         disturbance: What else accelerates the vehicle, in W, (3,) in m/s^2.
         gains: The `Gains`, (5,).
         body: The `Body`, (4,).
@@ -119,6 +126,7 @@ def CalcPropellerInput(
         state,
         velocity_command,
         acceleration,
+        derivatives,
         disturbance,
         Gains(gains[0], gains[1], gains[2], gains[3], gains[4]),
         Body(body[0], body[1], body[2], body[3]),
@@ -138,6 +146,7 @@ def CalcThrustAndTorque(
     state: Any,
     velocity_command: Any,
     acceleration: Any,
+    derivatives: Any,
     disturbance: Any,
     gains: Gains,
     body: Body,
@@ -148,7 +157,9 @@ def CalcThrustAndTorque(
     """Returns the thrust along B's z axis in N and the torque about B's axes in N m.
 
     The demanded acceleration is a_ff + k_v (v_cmd - v) - d; its thrust vector sets the desired
-    attitude at a fixed heading, and the torque tracks that attitude.  The arguments are those
+    attitude at a fixed heading, and the torque tracks that attitude.  How the thrust vector
+    changes follows of the derivatives of the command (see `CalcThrustRates`); where they are
+    not known it is taken to turn with the path (see `CalcTurnRate`).  The arguments are those
     of `CalcPropellerInput`, and the greatest thrust of all propellers together in N.  Without
     saturation the law is smooth wherever the thrust vector is not zero.
     """
@@ -166,13 +177,18 @@ def CalcThrustAndTorque(
     if saturate:
         F_W = LimitThrust(m * g, max_thrust, F_W)
     heading = LimitHeading(gains.heading, rpy[2]) if saturate else gains.heading
-    w_path = CalcTurnRate(v_W, a_W)
-    # The demand turns with the path; the error k_v (v_cmd - v) is small or short, and what
-    # disturbs the vehicle changes slowly.
-    F_dot_W = Cross(w_path, (m * ax, m * ay, m * az))
-    F_ddot_W = Cross(w_path, F_dot_W)
-    R_WD, w_WD_W, alpha_WD_W = CalcDesiredAttitude(F_W, F_dot_W, F_ddot_W, heading, saturate)
     R_WB, w_WB_B = CalcAttitude(rpy, rpy_rates)
+    if len(derivatives) > 0:
+        F_dot_W, F_ddot_W = CalcThrustRates(
+            F_W, R_WB, w_WB_B, a_W, derivatives, (dx, dy, dz), m, k_v, g
+        )
+    else:
+        w_path = CalcTurnRate(v_W, a_W)
+        # The demand turns with the path; the error k_v (v_cmd - v) is small or short, and what
+        # disturbs the vehicle changes slowly.
+        F_dot_W = Cross(w_path, (m * ax, m * ay, m * az))
+        F_ddot_W = Cross(w_path, F_dot_W)
+    R_WD, w_WD_W, alpha_WD_W = CalcDesiredAttitude(F_W, F_dot_W, F_ddot_W, heading, saturate)
     torque = CalcTorque(body, gains, R_WB, w_WB_B, R_WD, w_WD_W, alpha_WD_W)
     return Dot(F_W, R_WB[2]), torque
 
@@ -227,6 +243,58 @@ def CalcTurnRate(v_W: Vector3, a_W: Vector3) -> Vector3:
 
 
 @compilable
+def CalcThrustRates(
+    F_W: Vector3,
+    R_WB: Rotation,
+    w_WB_B: Vector3,
+    a_W: Vector3,
+    derivatives: Any,
+    disturbance: Vector3,
+    mass: Scalar,
+    velocity_gain: Scalar,
+    gravity: float,
+) -> tuple[Vector3, Vector3]:
+    """Returns the first and the second rate of the demanded thrust, in N/s and N/s^2, in W.
+
+    They are exact where the thrust is given that F_W demands along the body's axis, the
+    disturbance is what it is taken for and does not change, and the speed of the command does
+    not either: attitude and body rate tell how the vehicle accelerates, and how that changes.
+    With these the desired attitude and its rates are functions of the state alone, as for a
+    trajectory that is known (differential flatness: D. Mellinger, V. Kumar, "Minimum snap
+    trajectory generation and control for quadrotors", ICRA 2011).
+
+    Args:
+        F_W: The demanded thrust vector in N.
+        R_WB: The attitude.
+        w_WB_B: The body's angular velocity in rad/s.
+        a_W: DU v, the rate of the command, m/s^2.
+        derivatives: Those of the command, (`NUM_DERIVATIVES`,).
+        disturbance: What else accelerates the vehicle, m/s^2.
+        mass: In kg, as it is believed.
+        velocity_gain: In 1/s.
+        gravity: In m/s^2.
+    """
+    second, third = _Vector3(derivatives[:3]), _Vector3(derivatives[3:6])
+    DU, D2U_v = derivatives[6:15], derivatives[15:24]
+    q = _Scaled(1.0 / mass, F_W)
+    bx, by, bz = R_WB
+    wx, wy, _ = w_WB_B
+    bz_dot = _Sum(wy, bx, -wx, by)
+    lift = Dot(q, bz)
+    acceleration = _Sum(lift, bz, 1.0, disturbance)
+    acceleration = acceleration[0], acceleration[1], acceleration[2] - gravity
+    a_dot = _Sum(1.0, second, 1.0, _Times(DU, acceleration))
+    error_dot = _Sum(1.0, acceleration, -1.0, a_W)
+    q_dot = _Sum(1.0, a_dot, -velocity_gain, error_dot)
+    jerk = _Sum(Dot(q_dot, bz) + Dot(q, bz_dot), bz, lift, bz_dot)
+    a_ddot = _Sum(3.0, _Times(D2U_v, acceleration), 1.0, _Times(DU, jerk))
+    a_ddot = _Sum(1.0, third, 1.0, a_ddot)
+    error_ddot = _Sum(1.0, jerk, -1.0, a_dot)
+    q_ddot = _Sum(1.0, a_ddot, -velocity_gain, error_ddot)
+    return _Scaled(mass, q_dot), _Scaled(mass, q_ddot)
+
+
+@compilable
 def CalcDesiredAttitude(
     F_W: Vector3,
     F_dot_W: Vector3,
@@ -237,9 +305,8 @@ def CalcDesiredAttitude(
     """Returns the desired attitude R_WD with its angular velocity and acceleration.
 
     D's z axis is along the thrust vector and its x axis is as near as possible to the
-    heading (Lee et al. 2010).  The angular velocity in rad/s is that of
-    this very construction at a fixed heading.  Its rate in rad/s^2 leaves out the part
-    along D's z axis, which does not move the thrust.  Both are expressed in W, and limited to
+    heading (Lee et al. 2010).  The angular velocity in rad/s and its rate in rad/s^2 are those
+    of this very construction at a fixed heading.  Both are expressed in W, and limited to
     `MAX_DESIRED_RATE` and `MAX_DESIRED_ANGULAR_ACCELERATION` if saturated.
 
     Args:
@@ -276,7 +343,11 @@ def CalcDesiredAttitude(
             s * F_ddot_W[2] - 2.0 * shrink * dz,
         ),
     )
-    alpha_WD_W = (ax + spin * dx, ay + spin * dy, az + spin * dz)
+    alpha = (ax + spin * dx, ay + spin * dy, az + spin * dz)
+    # by stays normal to the heading: so do the rates of that, which give the part along bz.
+    ux, uy, _ = _Sum(1.0, Cross(alpha, by), 1.0, Cross(w_WD_W, Cross(w_WD_W, by)))
+    spin_dot = (ux * cx + uy * cy) / (bx[0] * cx + bx[1] * cy)
+    alpha_WD_W = _Sum(1.0, alpha, spin_dot, bz)
     if saturate:
         w_WD_W = _Limit(w_WD_W, MAX_DESIRED_RATE)
         alpha_WD_W = _Limit(alpha_WD_W, MAX_DESIRED_ANGULAR_ACCELERATION)
@@ -409,6 +480,28 @@ def _Combine(
 @compilable
 def _Vector3(a: Any) -> Vector3:
     return a[0], a[1], a[2]
+
+
+@compilable
+def _Scaled(s: Scalar, a: Vector3) -> Vector3:
+    return s * a[0], s * a[1], s * a[2]
+
+
+@compilable
+def _Sum(s: Scalar, a: Vector3, t: Scalar, b: Vector3) -> Vector3:
+    """Returns s a + t b."""
+    return s * a[0] + t * b[0], s * a[1] + t * b[1], s * a[2] + t * b[2]
+
+
+@compilable
+def _Times(rows: Any, a: Vector3) -> Vector3:
+    """Returns the product of a matrix, by rows (9,), with a."""
+    x, y, z = a
+    return (
+        rows[0] * x + rows[1] * y + rows[2] * z,
+        rows[3] * x + rows[4] * y + rows[5] * z,
+        rows[6] * x + rows[7] * y + rows[8] * z,
+    )
 
 
 @compilable

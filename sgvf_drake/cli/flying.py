@@ -160,6 +160,14 @@ def fly(
             "unit of the waypoints; or a fixed yaw in degrees  \\[default: 0]."
         ),
     ] = None,
+    jerk_feedforward: Annotated[
+        bool,
+        typer.Option(
+            "--jerk-feedforward",
+            help="Tell the quadrotor how the command changes: it turns as exactly as the field "
+            "asks.",
+        ),
+    ] = False,
     sensors: Annotated[
         bool, typer.Option("--sensors", help="Measure with noise and delay, at 100 Hz.")
     ] = False,
@@ -221,7 +229,12 @@ def fly(
             f"--certificate {certificate} says nothing of a tour: transfers leave the field"
         )
     craft = VehicleNamed(vehicle)
-    own = {"--html": html, "--meshcat": meshcat, "--heading": heading is not None}
+    own = {
+        "--html": html,
+        "--meshcat": meshcat,
+        "--heading": heading is not None,
+        "--jerk-feedforward": jerk_feedforward,
+    }
     given = [name for name, value in own.items() if value]
     if given and not issubclass(craft, Quadrotor):
         raise ConfigurationError(f"{given[0]} is for quadrotors only, no {vehicle}")
@@ -241,6 +254,7 @@ def fly(
             heading=yaw, disturbance_bandwidth=DISTURBANCE_BANDWIDTH if compensate else 0.0
         ),
         heading=looks,
+        jerk_feedforward=jerk_feedforward,
         seed=seed,
     )
     # Drake tells on its own where every Meshcat listens.

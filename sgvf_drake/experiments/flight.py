@@ -94,6 +94,8 @@ class FlightSpec:
             that.
         heading: Where a quadrotor looks: "path", along its path, or the point (x, y) in m
             towards which it looks; None: where the gains say.
+        jerk_feedforward: Whether a quadrotor is told how the command changes; see
+            `systems.AddGuidance`.
         seed: Seed of the noise of the sensors and of the gusts.
         start: Position p_WB (x, y, z) of the hover that the flight starts from, m; None:
             beside the path, see `hover_start`.
@@ -111,6 +113,7 @@ class FlightSpec:
     disturbance: Disturbance | None = None
     gains: Gains = DEFAULT_GAINS
     heading: Literal["path"] | tuple[float, float] | None = None
+    jerk_feedforward: bool = False
     seed: int = 0
     start: tuple[float, ...] | None = None
     duration: float | None = None
@@ -449,6 +452,7 @@ def flight_diagram(
         sensors=spec.sensors,
         disturbance=spec.disturbance,
         heading=None if spec.heading is None else _heading_system(spec.heading),
+        jerk_feedforward=spec.jerk_feedforward,
         **options,
     )
 

@@ -93,6 +93,44 @@ def test_gradients_agree_with_differences(circle_field, spatial_circle_field, di
         )
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+def test_the_derivatives_are_those_of_the_command_along_the_motion(
+    circle_field, spatial_circle_field, dim
+):
+    """Of places p + t v, the command's Taylor series, whose higher terms vanish with t."""
+    field = circle_field if dim == 2 else spatial_circle_field
+    system, t = GuidanceSystem(field, 0.7, 1.0), 0.02
+    for state in random_states(5, seed=2):
+        v = state[VELOCITY]
+        U, a = evaluate(system, state)
+        second, third, DU, D2U_v = np.split(derivatives(system, state), [3, 6, 15])
+        np.testing.assert_allclose(DU.reshape(3, 3) @ v, a, atol=1e-12)
+        np.testing.assert_allclose(D2U_v.reshape(3, 3) @ v, second, atol=1e-4)
+        for time in (t, t / 2):
+            moved = state.copy()
+            moved[POSITION] += time * v
+            series = U + time * a + time**2 / 2 * second + time**3 / 6 * third
+            assert np.abs(evaluate(system, moved)[0] - series).max() < 60 * time**4
+
+
+def derivatives(system, state):
+    context = system.CreateDefaultContext()
+    for name, part in (("position", POSITION), ("velocity", VELOCITY)):
+        system.GetInputPort(name).FixValue(context, state[part])
+    return system.GetOutputPort("command_derivatives").Eval(context)
+
+
+def test_the_derivatives_have_gradients(circle_field):
+    system = GuidanceSystem(circle_field, 0.7, 1.0)
+    state = random_states(1, seed=3)[0]
+    converted = system.ToAutoDiffXd()
+    found = derivatives(converted, InitializeAutoDiff(state).ravel())
+    expected = differences(lambda x: derivatives(system, x), state, 1e-5)
+    gradient = ExtractGradient(found.reshape(-1, 1))
+    size = np.abs(expected).max()
+    np.testing.assert_allclose(gradient, expected, atol=1e-4 * size)
+
+
 def test_feedforward_is_the_rate_of_the_command_along_the_motion(circle_field):
     system, h = GuidanceSystem(circle_field), 1e-6
     for state in random_states(5, seed=1):

@@ -198,8 +198,6 @@ CASES = {
         {**MOTION, "speed": np.array([0.25])},
         # The field is about 0.1 m wide, which 0.9 m/s widens and 0.3 m/s does not.
         {"Speed": 0.9, "Altitude": 1.2, "ApproachLength": 0.5},
-        # Without feed-forward.
-        idle=("velocity",),
     ),
     "Se3Controller": Case(
         lambda vehicle: Se3Controller(
@@ -209,6 +207,7 @@ CASES = {
         {
             "state": STATE,
             **COMMANDS,
+            "command_derivatives": np.linspace(-0.5, 0.5, 24),
             "heading": np.array([0.1]),
             "predicted_velocity": STATE[6:9] - 0.1,
         },

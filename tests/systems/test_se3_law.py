@@ -74,6 +74,7 @@ def law(
         state.tolist(),
         velocity_command.tolist(),
         acceleration.tolist(),
+        (),
         list(disturbance),
         gains,
         Body(PARAMETERS.mass, *PARAMETERS.inertia),
@@ -113,7 +114,6 @@ def lee(state, velocity_command, acceleration, gains, disturbance):
         return vee(0.5 * (S - S.T))
 
     w_d_dot = (w_d(1e-3) - w_d(-1e-3)) / 2e-3
-    w_d_dot[2] = 0.0  # Left out, and said so: it does not move the thrust.
     Q = attitude(0.0).T @ R
     e_R = 0.5 * vee(Q - Q.T)
     e_w = w - Q.T @ w_d(0.0)

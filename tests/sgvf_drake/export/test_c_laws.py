@@ -71,7 +71,7 @@ def test_se3_law(laws, size):
         gains = DEFAULT_GAINS._replace(heading=2 * size * rng.standard_normal())
         arguments = (state, command, acceleration)
         expected = CalcPropellerInput(
-            *(*arguments, disturbance, gains, body),
+            *(*arguments, (), disturbance, gains, body),
             *(vehicle.rotors, vehicle.gravity, True),
         )
         found = se3(laws, *arguments, disturbance, gains, vehicle)
