@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+import sys
 
 import numpy as np
 
@@ -160,6 +161,7 @@ def divide(
     halves: Callable[[Parts], Parts] = Parts.halves,
     *,
     halvings: int = HALVINGS,
+    at_most: int = sys.maxsize,
 ) -> Division:
     """Halves parts until a question is decided on each, or as often as may be.
 
@@ -168,6 +170,7 @@ def divide(
         ask: Tells what is known of parts that were halved so often.
         halves: Halves parts; along the tube, if nothing else is told.
         halvings: How often, at most.
+        at_most: Of how many parts at once it is asked; where there would be more, it is left.
     """
     done, facts, left, asked = [], [], [], 0
     for depth in range(halvings + 1):
@@ -181,7 +184,7 @@ def divide(
             left.append(chunk.cell[answer.refuted])
             again.append(chunk[~answer.decided & ~answer.refuted])
         parts = join(again)
-        if not len(parts):
+        if not len(parts) or len(parts) > at_most // 2:
             break
         if depth < halvings:
             parts = halves(parts)

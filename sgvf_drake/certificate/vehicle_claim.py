@@ -5,17 +5,14 @@ from dataclasses import dataclass
 import math
 from typing import Any
 
-import numpy as np
-
 from sgvf_drake.certificate.document import bounds_hold
 from sgvf_drake.certificate.field_model import ExactField
-from sgvf_drake.certificate.flown_jerk import bound_flown, least_progress, region
+from sgvf_drake.certificate.flown_field import bound_flown, least_progress, region
 from sgvf_drake.certificate.tube import Tube
 from sgvf_drake.certificate.vehicle import (
     CLIMB,
     MARGIN,
     ErrorBounds,
-    Linear,
     VehicleLaw,
     prove_stage,
 )
@@ -28,32 +25,25 @@ class VehicleProposal:
 
     Attributes:
         pairs: The vehicle stays between the walls of this number, from 1 at the tube.
-        error: |e| stays below this part of the speed.
-        jerk: What the unknown jerk is to be at most, normalised; see `FlownBounds`.
-        linear: The linear system.
+        error: |e| stays below this part of the speed, horizontally.
+        reach: How far the law looks ahead and back at most, normalised.
+        change: What second derivatives are to change by at most; see `FlownBounds`.
         start: Bounds of the errors at the start.
         held: Bounds of the errors from then on.
     """
 
     pairs: int
     error: float
-    jerk: float
-    linear: Linear
+    reach: float
+    change: float
     start: ErrorBounds
     held: ErrorBounds
 
     @classmethod
     def of(cls, body: Mapping[str, Any]) -> "VehicleProposal":
         """Returns the proposal of a JSON object."""
-        linear = body["linear"]
-        return cls(
-            **{
-                **body,
-                "linear": Linear(**{**linear, "gamma_range": tuple(linear["gamma_range"])}),
-                "start": ErrorBounds(**body["start"]),
-                "held": ErrorBounds(**body["held"]),
-            }
-        )
+        start, held = ErrorBounds(**body["start"]), ErrorBounds(**body["held"])
+        return cls(**{**body, "start": start, "held": held})
 
 
 @dataclass(frozen=True)
@@ -65,16 +55,15 @@ class VehiclePiece:
         failures: What is not proved, in words; empty: all is.
         half_width: Of the walls that the vehicle stays between, from the tube's middle.
         altitude_error: Of the altitude.
-        velocity_error: Of |e|, from the start on.
+        velocity_error: Of the horizontal one, from the start on.
         tolerated: What the walls tolerate of that.
         progress: At least how fast it goes from section to section of the tube.
         final: Bounds of the errors after `settling`.
-        final_error: Of |e| after it.
         settling: s.
         tilt: Between thrust and demanded thrust, rad, from the start on.
         tilt_demanded: Of the demanded thrust, rad.
         forces: The least and the largest force of a propeller.
-        causes: What feeds the velocity error, by its causes.
+        causes: What each cause makes of the velocity error.
         patches: Over how many patches the field was bounded.
     """
 
@@ -86,7 +75,6 @@ class VehiclePiece:
     tolerated: float | None = None
     progress: float | None = None
     final: ErrorBounds | None = None
-    final_error: float | None = None
     settling: float | None = None
     tilt: float | None = None
     tilt_demanded: float | None = None
@@ -146,7 +134,7 @@ class VehicleResult:
                 continue
             if mine is None or mine.failures or mine.proposal != claimed.proposal:
                 return False
-            at_most = ("half_width", "altitude_error", "velocity_error", "final_error", "tilt")
+            at_most = ("half_width", "altitude_error", "velocity_error", "tilt")
             if not bounds_hold(mine, claimed, ("tolerated", "progress"), at_most, tolerance):
                 return False
         return True
@@ -176,52 +164,39 @@ def prove_piece(
     """
     if not 1 <= proposal.pairs <= len(e_star):
         return VehiclePiece(proposal, (f"there are no walls of number {proposal.pairs}",))
-    centre = (law.velocity_gain - proposal.linear.centre) * unit / law.speed
     cells = region(tube, walls, proposal.pairs)
     bounds = bound_flown(
-        field,
-        cells,
-        error=proposal.error,
-        slow=law.slow / law.speed,
-        centre=centre,
-        target=proposal.jerk,
+        field, cells, error=proposal.error, reach=proposal.reach, target=proposal.change
     )
     if bounds is None:
-        return VehiclePiece(proposal, ("the jerk of the field is not bounded as proposed",))
-    start, held, linear = proposal.start, proposal.held, proposal.linear
-    proof = prove_stage(law, linear, start, held, bounds, unit, disturbance)
+        return VehiclePiece(proposal, ("the field is not proved to bend as proposed",))
+    held = proposal.held
+    proof = prove_stage(law, proposal.start, held, bounds, unit, disturbance)
     failures, fed = list(proof.failures), proof.at_start
     tolerated = law.speed * e_star[proposal.pairs - 1]
-    if not proof.error * (1 + MARGIN) < tolerated:
+    if not held.velocity * (1 + MARGIN) < tolerated:
         failures.append(
-            f"a velocity error of {proof.error:.4g} m/s, of which the walls tolerate "
+            f"a velocity error of {held.velocity:.4g} m/s, of which the walls tolerate "
             f"{tolerated:.4g}"
         )
-    progress = law.speed * least_progress(field, cells) - proof.error
+    progress = law.speed * least_progress(field, cells) - held.velocity
     if not progress > 0:
         failures.append("the vehicle is not proved to go on along the path")
     top, climb = law.max_climb, CLIMB * held.climb
-    integral = proof.integral
     return VehiclePiece(
         proposal,
         tuple(failures),
         half_width=walls.half_widths(tube)[proposal.pairs - 1] * unit,
         altitude_error=top / law.altitude_gain * math.atanh(min(climb / top, 0.999)),
-        velocity_error=_finite(proof.error),
+        velocity_error=_finite(held.velocity),
         tolerated=tolerated,
         progress=_finite(progress),
         final=proof.final,
-        final_error=_finite(proof.final_error),
         settling=_finite(proof.settling),
-        tilt=_finite(math.asin(fed.tilt)),
+        tilt=_finite(fed.tilt),
         tilt_demanded=_finite(fed.tilt_demanded),
         forces=(_finite(fed.least_force), _finite(fed.most_force)),
-        causes={
-            name: float(sum(g * x for g, x in zip(integral, parts, strict=True)))
-            for name, parts in fed.causes.items()
-        }
-        if np.isfinite(integral).all()
-        else None,
+        causes=proof.causes,
         patches=bounds.patches,
     )
 

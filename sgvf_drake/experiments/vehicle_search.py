@@ -4,10 +4,9 @@ Samples of the field between walls tell where a proof may succeed; there the fie
 and the errors that hold are iterated from those of the start until they do not grow.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from functools import cache
-from itertools import product
+from functools import partial
 import math
 from typing import Any
 
@@ -15,17 +14,14 @@ import numpy as np
 
 from sgvf_drake.arrays import FloatArray
 from sgvf_drake.certificate import FoundTube, find_tube
-from sgvf_drake.certificate.flown_jerk import FlownBounds, bound_flown, region
+from sgvf_drake.certificate.flown_field import AT_MOST, FlownBounds, bound_flown, region
 from sgvf_drake.certificate.tube_cells import Parts
 from sgvf_drake.certificate.vehicle import (
-    CLIMB,
     ErrorBounds,
-    Linear,
-    Loop,
     VehicleLaw,
+    attitude_responses,
     feed,
     held_from,
-    linear_loop,
 )
 from sgvf_drake.certificate.vehicle_claim import VehicleProposal, VehicleResult
 from sgvf_drake.exceptions import ConfigurationError
@@ -33,7 +29,12 @@ from sgvf_drake.fields import GuidingField
 from sgvf_drake.paths import ReferencePath
 from sgvf_drake.progress import Progress, no_progress
 from systems import DEFAULT_GAINS, Disturbance, Gains, QuadrotorParameters
-from systems.guidance import ALTITUDE_GAIN, MAX_APPROACH_RATE, MAX_CLIMB_RATE
+from systems.guidance import (
+    ALTITUDE_GAIN,
+    DIFFERENCE_TIME,
+    MAX_APPROACH_RATE,
+    MAX_CLIMB_RATE,
+)
 from systems.se3_law import (
     LIFT_SHARE,
     MAX_DESIRED_ANGULAR_ACCELERATION,
@@ -41,28 +42,33 @@ from systems.se3_law import (
     MAX_HEADING_ERROR,
     MAX_TILT,
     MIN_LIFT,
-    SLOW_SPEED,
     THRUST_SHARE,
 )
 
-# Parts of what walls tolerate that |e| may be, and what K_0 is more than the velocity gain by.
-SHARES, CENTRES = (0.95, 0.75, 0.55, 0.4), (0.5, 0.75, 1.0)
-# Samples between walls, and directions of the velocity error; what the jerk may be more than
-# what they see, and the same of all else before it is bounded.
-SAMPLES, DIRECTIONS, JERK, OTHERS = 3000, 24, 1.2, 1.12
-# By how much more the jerk is asked for in turn.
-TARGETS = (1.0, 1.18)
+# Parts of what walls tolerate that the velocity error may be.
+SHARES = (0.95, 0.6, 0.3, 0.15)
+# Samples between walls, the step of their differences, normalised, and what a bound may be more
+# than what they see.
+SAMPLES, STEP, MORE = 3000, 1e-4, 1.25
+# How many times the changes that are seen are asked for, and with which part of the velocity
+# errors that are tolerated at the start.
+LOOSER, SOME = (32.0, 16.0, 8.0, 4.0, 2.0), 0.1
+# Of so many cells it is found out first whether bounds of all cost too much.
+FEW = 64
+# What differences are off by, of what second derivatives change by over their reach.
+OFF = 0.2
 # The errors at the start are in proportion: the thrust's that makes up for such a part of the
 # velocity error, the rate's in which the attitude error would turn at such a part of the
-# bandwidth, and such a part of both about the thrust; the vertical one, of all.
-THRUST, RATE, YAW, VERTICAL = 0.5, 0.5, 0.1, 0.15
+# bandwidth; the vertical velocity error, of all.
+THRUST, RATE, VERTICAL = 0.5, 0.5, 0.15
 # Of the speed, a velocity error that is hardly any.
 SMALL = 1e-3
 # Approach rates that are tried, 1/s, where none is asked for; the first is that of a quadrotor.
 RATES = (MAX_APPROACH_RATE, 2.0, 1.5, 1.25, 1.0, 0.75)
 # What is tolerated of the largest disturbance, so that errors at the start have their part.
 DISTURBED = 0.5
-ITERATIONS, GROWN, SETTLED, BISECTIONS = 150, 1.003, 1.0003, 8
+# How often bounds are iterated, what they are grown by, and how often a share is halved.
+ITERATIONS, GROWN, BISECTIONS = 60, 1.0001, 8
 
 
 def vehicle_law(speed: float, parameters: QuadrotorParameters, gains: Gains) -> VehicleLaw:
@@ -80,7 +86,7 @@ def vehicle_law(speed: float, parameters: QuadrotorParameters, gains: Gains) -> 
         max_force=parameters.max_propeller_force,
         altitude_gain=ALTITUDE_GAIN,
         max_climb=MAX_CLIMB_RATE,
-        slow=SLOW_SPEED,
+        look=DIFFERENCE_TIME,
         max_tilt=MAX_TILT,
         min_lift=MIN_LIFT,
         lift_share=LIFT_SHARE,
@@ -93,34 +99,53 @@ def vehicle_law(speed: float, parameters: QuadrotorParameters, gains: Gains) -> 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """Walls and a linear system with which a proof succeeds for small errors at the start.
+    """Walls between which a proof succeeds for small errors at the start.
 
     Attributes:
-        pairs: The number of the walls.
+        trial: The search between them.
         bounds: Of the field between them.
-        centre: K_0.
-        jerk: What was asked for of the jerk.
+        change: What was asked for of the second derivatives.
         disturbance: The largest that is tolerated, m/s^2.
     """
 
-    pairs: int
+    trial: "Trial"
     bounds: FlownBounds
-    centre: float
-    jerk: float
+    change: float
     disturbance: float
+
+    def propose(self, disturbance: float) -> VehicleProposal | None:
+        """Returns the proposal with the largest errors at the start; None: nothing holds."""
+        trial, bounds = self.trial, self.bounds
+
+        def start(share: float) -> ErrorBounds:
+            return trial.start(share * bounds.error * trial.law.speed)
+
+        share = _largest(
+            lambda share: trial.holding(start(share), bounds, disturbance) is not None
+        )
+        held = trial.holding(start(share), bounds, disturbance)
+        if held is None:
+            return None
+        return VehicleProposal(
+            *(trial.pairs, bounds.error, bounds.reach, self.change, start(share), held)
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """The search along one piece.
+    """The search between some walls of a piece.
 
     Attributes:
         law: The vehicle.
         unit: Metres in a normalised unit.
+        pairs: The number of the walls.
+        tolerated: The velocity error that they tolerate, m/s.
     """
 
     law: VehicleLaw
     unit: float
+    pairs: int
+    tolerated: float
 
     @property
     def small(self) -> ErrorBounds:
@@ -130,86 +155,78 @@ class Trial:
     def start(self, error: float) -> ErrorBounds:
         """Returns the errors at a start with a velocity error, m/s."""
         law = self.law
-        rho = THRUST * law.velocity_gain * error
-        sigma = RATE * law.bandwidth * rho
-        yaw, yaw_rate = YAW * rho / law.gravity, YAW * sigma / law.gravity
-        return ErrorBounds(error, rho, sigma, 0.0, yaw, yaw_rate, VERTICAL * error)
+        attitude = THRUST * law.velocity_gain * error / law.gravity
+        return ErrorBounds(error, VERTICAL * error, attitude, RATE * law.bandwidth * attitude)
 
     def holding(
-        self, start: ErrorBounds, bounds: FlownBounds, centre: float, disturbance: float
-    ) -> tuple[ErrorBounds, Linear] | None:
-        """Returns bounds that hold from a start on, with the linear system; None: none do."""
-        errors, loop = start, _loop(self.law, centre)
-        if loop is None:
-            return None
-        for _ in range(ITERATIONS):
-            linear = self.linear(errors, bounds, centre)
-            fed = feed(self.law, linear, errors, bounds, self.unit, disturbance)
-            if fed.failures:
+        self, start: ErrorBounds, bounds: FlownBounds, disturbance: float
+    ) -> ErrorBounds | None:
+        """Returns bounds that hold from a start on and keep between the walls, if some do."""
+        found = attitude_responses(self.law.bandwidth, self.law.damping)
+        errors = start
+        for _ in range(ITERATIONS if found is not None else 0):
+            assert found is not None
+            fed = feed(self.law, errors, bounds, self.unit, disturbance)
+            kept = held_from(found, start, fed)
+            if fed.failures or not GROWN * kept.velocity < self.tolerated:
                 return None
-            kept = held_from(loop, start, fed)
-            # A fixed point of what is a little larger is above what it feeds, by that little.
-            kept = ErrorBounds(*(GROWN * one + 1e-7 for one in vars(kept).values()))
-            grown = _each(max, errors, kept)
-            if all(new <= SETTLED * old for new, old in _pairs(grown, errors)):
-                linear = self.linear(grown, bounds, centre)
-                last = feed(self.law, linear, grown, bounds, self.unit, disturbance)
-                more = held_from(loop, start, last)
-                holds = all(1.00001 * new < old for new, old in _pairs(more, grown))
-                return (grown, linear) if holds and not last.failures else None
-            errors = grown
+            if all(new < old for new, old in zip(_of(kept), _of(errors), strict=True)):
+                return errors
+            errors = ErrorBounds(
+                *(
+                    max(old, GROWN * new)
+                    for new, old in zip(_of(kept), _of(errors), strict=True)
+                )
+            )
         return None
 
-    def largest(
-        self, bounds: FlownBounds, centre: float, *, error: float, disturbance: float
-    ) -> float:
-        """Returns the largest part of an error at the start, or of a disturbance, that holds.
+    def loosest(self, seen: FlownBounds) -> FlownBounds:
+        """Returns the loosest bounds of changes with which some errors at the start hold.
 
-        Args:
-            bounds: Of the field between the walls.
-            centre: K_0.
-            error: At the start, m/s; zero: a part of the disturbance is asked for.
-            disturbance: m/s^2.
+        Where patches are so large, remainders are most of it, so that differences are off by
+        as much.
         """
-        low, high = 0.0, 1.0
-        for _ in range(BISECTIONS):
-            share = (low + high) / 2
-            start = self.start(share * error) if error else self.small
-            force = disturbance if error else share * disturbance
-            holds = self.holding(start, bounds, centre, force) is not None
-            low, high = (share, high) if holds else (low, share)
-        return low
+        start = self.start(SOME * self.tolerated)
+        for times in LOOSER:
+            change = times * seen.along_change
+            looser = replace(
+                seen, along_change=change, along_off=change, bend_off=times * seen.bend_off
+            )
+            if self.holding(start, looser, 0.0) is not None:
+                return looser
+        return seen
 
-    def linear(self, errors: ErrorBounds, bounds: FlownBounds, centre: float) -> Linear:
-        """Returns the linear system with the bounds of |q| / g that errors have."""
-        law, g = self.law, self.law.gravity
-        across = law.speed**2 / self.unit * bounds.acceleration
-        across += law.velocity_gain * bounds.error * law.speed
-        up = (law.altitude_gain * (1 + CLIMB) + law.velocity_gain) * errors.climb
-        low, high = (g - up) / g, math.hypot(g + up, across) / g
-        return Linear(1.0, (low * (1 - 1e-5), high * (1 + 1e-5)), centre)
+    def tolerates(self, bounds: FlownBounds, most: float, share: float) -> bool:
+        """Whether small errors hold under a share of the largest disturbance, m/s^2."""
+        return self.holding(self.small, bounds, share * most) is not None
 
-
-@cache
-def _loop(law: VehicleLaw, centre: float) -> Loop | None:
-    """Returns the responses of the linear system at K_0, which depend on nothing else."""
-    return linear_loop(law, Linear(1.0, (0.9, 1.1), centre))
-
-
-def _pairs(one: ErrorBounds, other: ErrorBounds) -> list[tuple[float, float]]:
-    return list(zip(vars(one).values(), vars(other).values(), strict=True))
+    def excess(self, bounds: FlownBounds) -> str:
+        """Says what is in the way of a proof for small errors at the start."""
+        fed = feed(self.law, self.small, bounds, self.unit, 0.0)
+        told = (
+            f"a velocity error of {fed.velocity:.2g} m/s is fed, of which "
+            f"{self.tolerated:.2g} is tolerated"
+        )
+        return "; ".join(fed.failures or [told])
 
 
-def _each(
-    function: Callable[[float, float], float], one: ErrorBounds, other: ErrorBounds
-) -> ErrorBounds:
-    return ErrorBounds(*(function(a, b) for a, b in _pairs(one, other)))
+def _of(errors: ErrorBounds) -> list[float]:
+    return list(vars(errors).values())
+
+
+def _largest(holds: Callable[[float], bool]) -> float:
+    """Returns the largest share of one at which something holds, about."""
+    low, high = 0.0, 1.0
+    for _ in range(BISECTIONS):
+        share = (low + high) / 2
+        low, high = (share, high) if holds(share) else (low, share)
+    return low
 
 
 def find_candidate(
     field: GuidingField, found: FoundTube, law: VehicleLaw, unit: float
-) -> Candidate | None:
-    """Returns the widest walls of a piece with which a proof succeeds; None: none do.
+) -> Candidate | str:
+    """Returns the widest walls of a piece with which a proof succeeds, or why there are none.
 
     Args:
         field: As it is flown, in the plane.
@@ -217,149 +234,97 @@ def find_candidate(
         law: The vehicle.
         unit: Metres in a normalised unit.
     """
-    trial = Trial(law, unit)
-    for pairs, cells, seen, centre in _tries(field, found, law, unit):
-        if trial.holding(trial.small, seen, centre, 0.0) is None:
-            continue
-        found_here = _bounded(field, cells, trial, seen, centre)
-        if found_here is not None:
-            target, bounds = found_here
-            most = law.velocity_gain * seen.error * law.speed
-            part = trial.largest(bounds, centre, error=0.0, disturbance=most)
-            return Candidate(pairs, bounds, centre, target, part * most)
-    return None
-
-
-def excess(field: GuidingField, found: FoundTube, law: VehicleLaw, unit: float) -> float:
-    """Returns how many times too large velocity errors grow, at least, by samples.
-
-    That is what errors as large as they may be feed, over what they may be, between the walls
-    where this is least.  Below one there may still be no errors that hold all together.
-
-    Args:
-        field: As it is flown, in the plane.
-        found: A tube of it, with walls.
-        law: The vehicle.
-        unit: Metres in a normalised unit.
-    """
-    trial, found_here = Trial(law, unit), [math.inf]
-    for _, _, seen, centre in _tries(field, found, law, unit):
-        if (loop := _loop(law, centre)) is not None:
-            most = seen.error * law.speed
-            errors = trial.start(most)
-            linear = trial.linear(errors, seen, centre)
-            fed = feed(law, linear, errors, seen, unit, 0.0)
-            found_here.append(held_from(loop, trial.small, fed).across / most)
-    return float(np.nanmin(found_here))
-
-
-def _tries(
-    field: GuidingField, found: FoundTube, law: VehicleLaw, unit: float
-) -> Iterator[tuple[int, Parts, FlownBounds, float]]:
-    """Yields walls, widest first, the cells between them, bounds by samples there, and K_0."""
     if found.walls is None or found.walls_proof is None:
-        return
+        return "there are no walls"
+    reason = ""
     for pairs in range(len(found.walls_proof.e_star), 0, -1):
+        e_star = found.walls_proof.e_star[pairs - 1]
+        trial = Trial(law, unit, pairs, law.speed * e_star)
         cells = region(found.tube, found.walls, pairs)
         samples = _Samples.between(field, cells)
-        for share, more in product(SHARES, CENTRES):
-            error, c = share * found.walls_proof.e_star[pairs - 1], -more * unit / law.speed
-            seen = samples.bounds(error, law.slow / law.speed, c)
-            yield pairs, cells, seen, law.velocity_gain + more
+        for share in SHARES:
+            seen = samples.bounds(share * e_star, law.look * law.speed / unit)
+            if trial.holding(trial.small, seen, 0.0) is None:
+                reason = trial.excess(seen)
+                continue
+            aimed = trial.loosest(seen)
+            bounds = _bounded(field, cells, aimed)
+            if bounds is None or trial.holding(trial.small, bounds, 0.0) is None:
+                continue
+            most = law.velocity_gain * trial.tolerated
+            holds = partial(trial.tolerates, bounds, most)
+            return Candidate(trial, bounds, aimed.along_change, _largest(holds) * most)
+    return reason
 
 
-def _bounded(
-    field: GuidingField, cells: Parts, trial: Trial, seen: FlownBounds, centre: float
-) -> tuple[float, FlownBounds] | None:
-    """Returns what was asked of the jerk, and bounds with which errors hold; None: none do.
-
-    Squares of velocity errors reach past the disk of those that are sampled.
-    """
-    law = trial.law
-    for more in TARGETS:
-        target = more * seen.jerk
-        aimed = replace(seen, jerk=target)
-        if trial.holding(trial.small, aimed, centre, 0.0) is None:
-            return None
-        bounds = bound_flown(
-            field,
-            cells,
-            error=seen.error,
-            slow=law.slow / law.speed,
-            centre=seen.centre,
-            target=target,
-        )
-        if bounds is not None:
-            holds = trial.holding(trial.small, bounds, centre, 0.0) is not None
-            return (target, bounds) if holds else None
-    return None
-
-
-def propose(
-    candidate: Candidate, law: VehicleLaw, unit: float, disturbance: float
-) -> VehicleProposal | None:
-    """Returns the proposal with the largest errors at the start; None: nothing holds."""
-    trial, bounds, centre = Trial(law, unit), candidate.bounds, candidate.centre
-    most = bounds.error * law.speed
-    part = trial.largest(bounds, centre, error=most, disturbance=disturbance)
-    start = trial.start(part * most)
-    found = trial.holding(start, bounds, centre, disturbance)
-    if found is None:
+def _bounded(field: GuidingField, cells: Parts, aimed: FlownBounds) -> FlownBounds | None:
+    """Returns bounds with the changes that are aimed at, if a part of the cells has them."""
+    bound = partial(
+        bound_flown, field, error=aimed.error, reach=aimed.reach, target=aimed.along_change
+    )
+    few = np.zeros(len(cells), bool)
+    few[np.random.default_rng(0).permutation(len(cells))[:FEW]] = True
+    if bound(cells[few], at_most=int(few.mean() * AT_MOST)) is None:
         return None
-    held, linear = found
-    return VehicleProposal(candidate.pairs, bounds.error, candidate.jerk, linear, start, held)
+    return bound(cells)
 
 
 @dataclass(frozen=True, eq=False)
 class _Samples:
-    """m (n, 2), its Jacobian (n, 2, 2) and its second derivatives (n, 2, 2, 2), normalised."""
+    """Samples of a field and of its derivatives, normalised.
+
+    Attributes:
+        m: (n, 2).
+        J: (n, 2, 2).
+        H: (n, 2, 2, 2).
+        T: The rate of H along m, (n, 2, 2, 2).
+    """
 
     m: FloatArray
     J: FloatArray
     H: FloatArray
+    T: FloatArray
 
     @classmethod
     def between(cls, field: GuidingField, cells: Parts) -> "_Samples":
         rng = np.random.default_rng(0)
         i = rng.integers(len(cells), size=SAMPLES)
         t, s = rng.uniform(-1, 1, (2, SAMPLES, 1))
-        ends = (rows[i, 0] + s * rows[i, 1] for rows in (cells.start, cells.end))
-        first, last = ends
+        first, last = (rows[i, 0] + s * rows[i, 1] for rows in (cells.start, cells.end))
         x = field.cloud.denormalize(((1 - t) * first + (1 + t) * last) / 2)
         unit = field.cloud.unit_length
         m, J = field.value_and_jacobian(x)
-        return cls(m, unit * J, unit**2 * field.hessian(x))
+        H = [unit**2 * field.hessian(x + sign * STEP * unit * m) for sign in (0, 1, -1)]
+        return cls(m, unit * J, H[0], (H[1] - H[2]) / (2 * STEP))
 
-    def bounds(self, error: float, slow: float, centre: float) -> FlownBounds:
-        """Returns about what `bound_flown` would."""
-        most = np.zeros(4)
-        for angle in np.linspace(0, 2 * np.pi, DIRECTIONS, endpoint=False):
-            n = self.m + error * np.array([np.cos(angle), np.sin(angle)])
-            a = np.einsum("nij,nj->ni", self.J, n)
-            omega = (n[:, 0] * a[:, 1] - n[:, 1] * a[:, 0]) / ((n**2).sum(axis=1) + slow**2)
-            eta = np.einsum("nijk,nj,nk->ni", self.H, n, n)
-            eta += np.einsum("nij,nj->ni", self.J, a)
-            eta -= omega[:, None] * np.column_stack([-a[:, 1], a[:, 0]])
-            found = [np.linalg.norm(eta, axis=1), np.linalg.norm(a, axis=1)]
-            found += [np.abs(omega), np.abs((n * a).sum(axis=1))]
-            most = np.maximum(most, np.max(found, axis=1))
-        jerk, acceleration, turn, along = most.tolist()
-        shifted = self.J - centre * np.eye(2)
-        growth, slope = (
-            float(np.linalg.norm(one, 2, axis=(1, 2)).max()) for one in (shifted, self.J)
+    def bounds(self, error: float, look: float) -> FlownBounds:
+        """Returns about what `bound_flown` would, for a law that looks ahead so far by speed.
+
+        How second derivatives change across m is taken to be how they do along it.
+        """
+        m, J, H, T = self.m, self.J, self.H, self.T
+        speed = np.linalg.norm(m, axis=1)
+        fastest, more = float(speed.max()) * 1.01 + error, (2 + error) * error
+        slope = np.linalg.norm(J, 2, axis=(1, 2))
+        bend, change = (np.linalg.norm(one.reshape(len(m), -1), axis=1) for one in (H, T))
+        along, straight = (
+            np.linalg.norm(np.einsum("nijk,nj,nk->ni", one, m, m), axis=1) for one in (H, T)
         )
-        speed = np.linalg.norm(self.m, axis=1)
+        acceleration = np.linalg.norm(np.einsum("nij,nj->ni", J, m), axis=1)
+        reach = look * fastest
+        changes = MORE * reach * float((straight + (more + error) * change).max())
         return FlownBounds(
-            error,
-            centre,
-            JERK * jerk,
-            OTHERS * acceleration,
-            OTHERS * turn,
-            2 * along,
-            OTHERS * growth,
-            OTHERS * slope,
-            least_speed=float(speed.min()) - 0.01,
-            most_speed=float(speed.max()) + 0.01,
+            error=error,
+            reach=reach,
+            along=MORE * float((along + more * bend).max()),
+            along_off=OFF * changes,
+            along_change=changes,
+            bend=MORE * float(bend.max()),
+            bend_off=OFF * MORE * reach * float(change.max()),
+            acceleration=MORE * float((acceleration + error * slope).max()),
+            slope=MORE * float(slope.max()),
+            least_speed=float(speed.min()) * 0.99,
+            most_speed=float(speed.max()) * 1.01,
             patches=0,
         )
 
@@ -438,18 +403,17 @@ def propose_flight(
         candidates: list[Candidate] = []
         for piece in reference.pieces:
             found = find_tube(flown, field.cloud.normalize(piece.vertices), closed=True)
-            candidate = None if found is None else find_candidate(flown, found, law, unit)
-            if candidate is None:
-                reason = "there are no walls"
-                if found is not None and found.walls is not None:
-                    times = excess(flown, found, law, unit)
-                    reason = f"velocity errors feed {times:.2g} times what they may be"
-                reasons.append(f"at {rate:g} /s, along piece {len(candidates) + 1}, {reason}")
+            candidate = (
+                "there is no tube" if found is None else find_candidate(flown, found, law, unit)
+            )
+            if isinstance(candidate, str):
+                piece_number = len(candidates) + 1
+                reasons.append(f"at {rate:g} /s, along piece {piece_number}, {candidate}")
                 break
             candidates.append(candidate)
         else:
             force = DISTURBED * min(candidate.disturbance for candidate in candidates)
-            proposals = tuple(propose(one, law, unit, force) for one in candidates)
+            proposals = tuple(candidate.propose(force) for candidate in candidates)
             return VehicleAnswer(flown, rate, law, force, proposals)
     nothing = (None,) * len(reference.pieces)
     flown = widened(field, question, rates[0])
@@ -504,7 +468,7 @@ def sentence(result: VehicleResult, reason: str) -> str:
         result: What is proved.
         reason: Why nothing was proposed.
     """
-    speed, g = f"at {result.law.speed:g} m/s", result.law.gravity
+    speed = f"at {result.law.speed:g} m/s"
     if result.proved:
         widths, starts = [], []
         for piece in result.pieces:
@@ -512,13 +476,14 @@ def sentence(result: VehicleResult, reason: str) -> str:
             start = piece.proposal.start
             assert piece.half_width is not None
             widths.append(piece.half_width)
-            starts.append((start.across, start.rho / g, start.sigma / g))
+            starts.append((start.velocity, start.attitude, start.rate))
         error, tilt, rate = np.min(starts, axis=0).tolist()
         return (
             f"the quadrotor follows the path {speed} within {max(widths):.3g} m, from every "
-            f"state between these walls with a velocity error up to {error:.2g} m/s, a tilt "
-            f"error up to {tilt:.2g} rad and a rate error up to {rate:.2g} rad/s, under every "
-            f"acceleration up to {result.disturbance:.2g} m/s^2 that nobody knows of"
+            f"state between these walls with a velocity error up to {error:.2g} m/s, an "
+            f"attitude error up to {tilt:.2g} rad and a rate error up to {rate:.2g} rad/s, "
+            f"under every acceleration up to {result.disturbance:.2g} m/s^2 that nobody "
+            "knows of"
         )
     failures = [
         f"piece {number}: {'; '.join(piece.failures)}"

@@ -19,34 +19,48 @@ from sgvf_drake.fields import load_guiding_field
 from systems import Disturbance, MakeFlightDiagram, MakeSimulator, QuadrotorParameters
 from systems.controller import DEFAULT_GAINS
 from systems.diagrams import SetVehicleState
-from systems.se3_law import CalcDesiredAttitude, CalcTurnRate
+from systems.guidance import DIFFERENCE_TIME, CalcCommandAt, CalcDerivatives
+from systems.se3_law import CalcDesiredAttitude, CalcThrustRates
 
 ALTITUDE, DURATION, LOG_PERIOD = 1.0, 4.0, 0.01
 # Of the wind, m/s: so fast that its pull hardly depends on the vehicle's own velocity.
 FAST = 100.0
 
 
-def start_state(field, law, proposal, position, rng):
+def direction(rng, dim):
+    """A random unit vector."""
+    v = rng.normal(size=dim)
+    return v / np.linalg.norm(v)
+
+
+def start_state(field, law, start, position, rng):
     """A state with the errors of the edge of the set, in random directions."""
-    start, g = proposal.start, law.gravity
-    m, J = (part[0] for part in field.value_and_jacobian(position[None]))
-    turn = rng.uniform(0, 2 * np.pi, 3)
-    e = start.across * np.array([np.cos(turn[0]), np.sin(turn[0]), 0])
-    v = np.append(law.speed * m, 0) + e
-    a = np.append(law.speed * J @ v[:2], 0)
-    q = a - law.velocity_gain * e + [0, 0, g]
-    w = np.array(CalcTurnRate(v, a))
-    j = np.cross(w, a)
-    columns, omega, _ = CalcDesiredAttitude(q, j, np.cross(w, j), 0.0, False)
-    R_d = np.column_stack(columns)
-    tilt = start.rho / g * np.array([np.cos(turn[1]), np.sin(turn[1]), 0])
-    R = R_d @ Rotation.from_rotvec(np.append(tilt[:2], start.yaw)).as_matrix()
-    rate = start.sigma / g * np.array([np.cos(turn[2]), np.sin(turn[2]), 0])
-    body = R.T @ np.array(omega) + rate + [0, 0, start.yaw_rate]
+    v = np.append(law.speed * field(position), 0) + np.append(
+        start.velocity * direction(rng, 2), start.climb * rng.choice([-1, 1])
+    )
+    p = np.append(position, ALTITUDE)
+    places = []
+    for h in (-DIFFERENCE_TIME, 0.0, DIFFERENCE_TIME):
+        m, J = (part[0] for part in field.value_and_jacobian((p + h * v)[None, :2]))
+        values = np.concatenate([m, J.ravel()])
+        places.append(CalcCommandAt(values, p + h * v, law.speed, ALTITUDE))
+    U, DU = places[1]
+    derivatives, a, k, g = CalcDerivatives(places, v), DU @ v, law.velocity_gain, law.gravity
+    q = a - k * (v - U) + [0, 0, g]
+    R_d, *_ = CalcDesiredAttitude(q, (0.0,) * 3, (0.0,) * 3, 0.0, False)
+    turn = np.arcsin(start.attitude) * direction(rng, 3)
+    R = np.column_stack(R_d) @ Rotation.from_rotvec(turn).as_matrix()
+    columns = tuple(R.T)
+    body, wanted = np.zeros(3), start.rate * direction(rng, 3)
+    # The desired rate depends on the body's own, weakly.
+    for _ in range(30):
+        rates = CalcThrustRates(q, columns, body, a, derivatives, np.zeros(3), 1.0, k, g)
+        _, omega, _ = CalcDesiredAttitude(q, *rates, 0.0, False)
+        body = R.T @ np.array(omega) + wanted
     yaw, pitch, roll = Rotation.from_matrix(R).as_euler("ZYX")
     cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
-    rates = np.linalg.solve([[1, 0, -sp], [0, cr, cp * sr], [0, -sr, cp * cr]], body)
-    return np.concatenate([position, [ALTITUDE, roll, pitch, yaw], v, rates])
+    turning = np.linalg.solve([[1, 0, -sp], [0, cr, cp * sr], [0, -sr, cp * cr]], body)
+    return np.concatenate([p, [roll, pitch, yaw], v, turning])
 
 
 def main() -> None:
@@ -71,6 +85,7 @@ def main() -> None:
         speed=law.speed,
         altitude=ALTITUDE,
         gains=DEFAULT_GAINS,
+        jerk_feedforward=True,
         sample_period=LOG_PERIOD if given.hold else 0.0,
     )
     plant = diagram.GetSubsystemByName("plant")
@@ -90,7 +105,7 @@ def main() -> None:
             inward = field.cloud.denormalize(tube.rows[:-1, 0])
             k = rng.integers(len(side))
             position = 0.999 * side[k] + 0.001 * inward[k]
-            state = start_state(metric, law, piece.proposal, result.scale * position, rng)
+            state = start_state(metric, law, piece.proposal.start, result.scale * position, rng)
             turn = rng.uniform(0, 2 * np.pi)
             wind = (FAST * np.cos(turn), FAST * np.sin(turn), 0.0)
             context = simulator.get_mutable_context()
@@ -121,7 +136,7 @@ def main() -> None:
         print(
             f"piece {number + 1}: walls {piece.half_width:.4f} m, d {result.disturbance:.3g}; "
             f"|e| {worst:.4f} of {piece.velocity_error:.4f} proved, at last {late:.4f} of "
-            f"{piece.final_error:.4f}; walls tolerate {piece.tolerated:.4f}; tilt "
+            f"{piece.final.velocity:.4f}; walls tolerate {piece.tolerated:.4f}; tilt "
             f"{max(force):.3f}; {outside} of {given.flights} outside",
             flush=True,
         )
