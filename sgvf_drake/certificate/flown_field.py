@@ -39,9 +39,8 @@ SHARP, FOR_SPEED = 0.8, 2
     BEND_OFF,
     ACCELERATION,
     SLOPE,
-    LEAST_SPEED,
     MOST_SPEED,
-) = range(9)
+) = range(8)
 
 
 @dataclass(frozen=True)
@@ -58,7 +57,6 @@ class FlownBounds:
         bend_off: Of what m'' differs by from its means, the same.
         acceleration: Of |J n|.
         slope: Of the spectral norm of J.
-        least_speed: Infimum of |m|.
         most_speed: Supremum of |m|.
         patches: Over how many patches the field was bounded.
     """
@@ -72,7 +70,6 @@ class FlownBounds:
     bend_off: float
     acceleration: float
     slope: float
-    least_speed: float
     most_speed: float
     patches: int
 
@@ -129,7 +126,6 @@ def bound_flown(
         bend_off=most[BEND_OFF],
         acceleration=most[ACCELERATION],
         slope=most[SLOPE],
-        least_speed=float(found.facts[:, LEAST_SPEED].min()),
         most_speed=most[MOST_SPEED],
         patches=found.asked,
     )
@@ -141,7 +137,7 @@ def _ask(
     hulls = parts.hulls
     size = np.linalg.norm(hulls.axes, axis=1).max(axis=1)
     small = np.asarray(size <= LARGEST_PATCH)
-    facts = np.full((len(parts), 9), np.inf)
+    facts = np.full((len(parts), 8), np.inf)
     if small.any():
         facts[small] = flown_facts(field, hulls[small], error, reach)
     decided = small & (facts[:, ALONG_CHANGE] <= target) & np.isfinite(facts).all(axis=1)
@@ -149,7 +145,7 @@ def _ask(
 
 
 def flown_facts(field: ExactField, patches: Patches, error: float, reach: float) -> FloatArray:
-    """Returns the suprema of `FlownBounds` over each of n patches of the plane, (n, 9)."""
+    """Returns the suprema of `FlownBounds` over each of n patches of the plane, (n, 8)."""
     moved = _within(patches, reach)
     patches = Patches(patches.centers, patches.axes * (1 + moved)[:, None])
     jet, H = jet_field(field, patches), _Moving(patches, reach)
@@ -158,7 +154,7 @@ def flown_facts(field: ExactField, patches: Patches, error: float, reach: float)
     rho = error + np.hypot(*np.maximum(m.upper - m.value, m.value - m.lower).T)
     more = (2 * np.hypot(x, y) + rho) * rho
     second, acceleration = _along(jet.second, (x * x, 2 * x * y, y * y)), _along(J, n)
-    facts = np.empty((len(m.value), 9))
+    facts = np.empty((len(m.value), 8))
     facts[:, BEND] = _size([_range(model) for model in jet.second])
     facts[:, BEND_OFF] = _size([H.off(model) for model in jet.second])
     change = _size([H.change(model) for model in jet.second])
@@ -167,12 +163,8 @@ def flown_facts(field: ExactField, patches: Patches, error: float, reach: float)
     facts[:, ALONG_CHANGE] = _length(H.change(second, n, rho)) + more * change
     facts[:, SLOPE] = _norms(J)
     facts[:, ACCELERATION] = _length(_range(acceleration)) + rho * facts[:, SLOPE]
-    square = m.dot(m)
-    facts[:, LEAST_SPEED] = np.sqrt(np.maximum(square.lower[:, 0], 0))
-    facts[:, MOST_SPEED] = np.sqrt(square.upper[:, 0])
-    rounding = np.full(9, 1 + 16 * SLACK)
-    rounding[LEAST_SPEED] = 1 - 16 * SLACK
-    return np.asarray(facts * rounding)
+    facts[:, MOST_SPEED] = np.sqrt(m.dot(m).upper[:, 0])
+    return np.asarray((1 + 16 * SLACK) * facts)
 
 
 def _within(patches: Patches, reach: float | FloatArray) -> FloatArray:

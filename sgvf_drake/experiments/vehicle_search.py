@@ -250,6 +250,7 @@ def find_candidate(
             aimed = trial.loosest(seen)
             bounds = _bounded(field, cells, aimed)
             if bounds is None or trial.holding(trial.small, bounds, 0.0) is None:
+                reason = f"the field is not bounded well enough by {AT_MOST} patches at once"
                 continue
             most = law.velocity_gain * trial.tolerated
             holds = partial(trial.tolerates, bounds, most)
@@ -323,7 +324,6 @@ class _Samples:
             bend_off=OFF * MORE * reach * float(change.max()),
             acceleration=MORE * float((acceleration + error * slope).max()),
             slope=MORE * float(slope.max()),
-            least_speed=float(speed.min()) * 0.99,
             most_speed=float(speed.max()) * 1.01,
             patches=0,
         )

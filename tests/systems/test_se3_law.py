@@ -314,7 +314,7 @@ def test_limits_do_not_hide_a_torque_that_overflows(axis):
     state, nothing = [0.0] * 12, [0.0] * 3
     state[9 + axis] = 1e308
     forces = CalcPropellerInput(
-        *(state, nothing, nothing, nothing),
+        *(state, nothing, nothing, (), nothing),
         *(DEFAULT_GAINS, Body(PARAMETERS.mass, *PARAMETERS.inertia)),
         *(PARAMETERS.rotors, PARAMETERS.gravity, True),
     )

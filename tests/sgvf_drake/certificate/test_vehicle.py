@@ -31,7 +31,7 @@ LAW = VehicleLaw(
 )
 """The paper's quadrotor at 0.45 m/s."""
 
-BOUNDS = FlownBounds(0.184, 0.00108, 20.1, 1.0, 1.07, 30.7, 1.49, 3.52, 5.34, 0.997, 1.001, 1)
+BOUNDS = FlownBounds(0.184, 0.00108, 20.1, 1.0, 1.07, 30.7, 1.49, 3.52, 5.34, 1.001, 1)
 """Those of a ring of 1 m, in a field that turns to it at 4 1/s; U = 0.5 m."""
 
 START = ErrorBounds(0.03, 0.005, 0.005, 0.03)
@@ -270,8 +270,7 @@ def test_what_a_field_asks_is_within_its_bounds(make_field, half):
         true[4] /= np.linalg.norm(n, axis=1)
         slope = np.linalg.norm(J[1], 2, axis=(1, 2))
         assert np.all(np.transpose([*true, slope]) <= facts[:, :7] + 1e-6)
-        assert np.all(facts[:, 7] <= speed)
-        assert np.all(speed <= facts[:, 8])
+        assert np.all(speed <= facts[:, 7])
 
 
 def test_products_of_jets_follow_the_rule_of_leibniz():

@@ -202,7 +202,7 @@ def bounds_at(loop, state, unit):
     return FlownBounds(
         *(more * error, more * max(reach, DIFFERENCE_TIME * speed / unit)),
         *(sizes[0].max(), off, 2 * off, sizes[1].max(), bend_off),
-        *(unit * np.linalg.norm(J @ n), unit * np.linalg.norm(J, 2), size, size, 1),
+        *(unit * np.linalg.norm(J @ n), unit * np.linalg.norm(J, 2), size, 1),
     )
 
 
