@@ -146,8 +146,8 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
         faster vehicle could not follow.  The feed-forward takes this speed as constant.
 
         `command_derivatives` (24) in W are those of `systems.se3_law.NUM_DERIVATIVES`, by
-        differences over `DIFFERENCE_TIME`; they cost two more evaluations of the field, and
-        only where they are asked for.  A directed field has no such port.
+        differences over `DIFFERENCE_TIME`; they cost two more evaluations of the field, where
+        they are asked for.  A directed field has no such port.
 
         A directed field m(x, g) is followed with g = h, a heading that is remembered in the
         continuous state (d), of no unit and of length at most 1.  It turns to a further input,
@@ -232,6 +232,10 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             self._intended: Any = None
             if isinstance(field, SteerableField):
                 sources |= self._DeclareHeading(field, sources)
+            else:
+                self._m_and_J = self._DeclareVector(
+                    "m_and_J", field.dim + field.dim**2, self._CalcField, sources
+                )
             self._asked = self.DeclareVectorInputPort("speed", 1)
             asked = self.input_port_ticket(self._asked.get_index())
             DeclareCommandPorts(self, T, self._CalcCommands, {*sources, asked})
@@ -255,15 +259,22 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             # Shared by the commands and the rate of the heading, which are both asked for in
             # every stage of the integrator.
             size = motion.dim + motion.dim**2
-            self._motion = self.DeclareCacheEntry(
-                "motion",
-                ValueProducer(
-                    allocate=lambda: Value[BasicVector_[T]](BasicVector_[T](size)),
-                    calc=self._CalcMotion,
-                ),
-                {*sources, heading},
+            self._motion = self._DeclareVector(
+                "motion", size, self._CalcMotion, {*sources, heading}
             )
             return {heading, self.input_port_ticket(self._intended.get_index())}
+
+        def _DeclareVector(
+            self, name: str, size: int, calc: Callable[[Any, Any], None], sources: set[Any]
+        ) -> Any:
+            """Declares what is computed once for all that need it."""
+            return self.DeclareCacheEntry(
+                name,
+                ValueProducer(
+                    allocate=lambda: Value[BasicVector_[T]](BasicVector_[T](size)), calc=calc
+                ),
+                sources,
+            )
 
         @property
         def field(self) -> Field:
@@ -362,6 +373,11 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             for port in (self._position, self._velocity):
                 CheckFinite(self, context, port, ToList(port.Eval(context)))
 
+        def _CalcField(self, context: Any, m_and_J: Any) -> None:
+            place = self._EvalVehicle(context)[0][: self._field.dim]
+            flown = self._Flown(*self._ReadParameters(context)[2:])
+            m_and_J.get_mutable_value().SetFromVector(flown.evaluate(place))
+
         def _CalcMotion(self, context: Any, motion: Any) -> None:
             place = self._EvalVehicle(context)[0][: self._field.dim]
             flown = self._Flown(*self._ReadParameters(context)[2:])
@@ -390,11 +406,11 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
 
         def _CalcCommands(self, context: Any) -> np.ndarray:
             position, velocity = self._EvalVehicle(context)
-            speed, altitude, approach_length = self._ReadParameters(context)
+            speed, altitude, _ = self._ReadParameters(context)
             CheckNonNegativeParameter("speed", speed)
             speed = self._FlownSpeed(context, speed)
             if self._intended is None:
-                field = self._Flown(approach_length).evaluate(position[: self._field.dim])
+                field = self._m_and_J.Eval(context).CopyToVector()
                 commands = self._Calc(field, position, velocity, speed, altitude)
             else:
                 field, turning = self._EvalDirected(context)
@@ -414,12 +430,17 @@ def GuidanceSystem_(T: type) -> Any:  # noqa: D103 (the class below says it)
             p, v = self._EvalVehicle(context)
             speed, altitude, approach_length = self._ReadParameters(context)
             speed = self._FlownSpeed(context, speed)
-            field, d = self._Flown(approach_length), self._field.dim
-            commands = []
-            for h in (-DIFFERENCE_TIME, 0.0, DIFFERENCE_TIME):
-                place = p + h * v
-                m_and_J = field.evaluate(place[:d])
-                commands.append(CalcCommandAt(m_and_J, place, speed, altitude))
+            flown, d = self._Flown(approach_length), self._field.dim
+            way = DIFFERENCE_TIME * v
+            fields = (
+                flown.evaluate(p[:d] - way[:d]),
+                self._m_and_J.Eval(context).CopyToVector(),
+                flown.evaluate(p[:d] + way[:d]),
+            )
+            commands = [
+                CalcCommandAt(field, place, speed, altitude)
+                for field, place in zip(fields, (p - way, p, p + way), strict=True)
+            ]
             derivatives = CalcDerivatives(commands, v)
             if not all(map(math.isfinite, ToList(derivatives))):
                 self._CheckVehicle(context)
@@ -536,11 +557,13 @@ def CalcCommandAt(
         speed: In m/s.
         altitude: In m.
     """
-    columns = [
-        _CalcCommands(field, p_WB, axis, speed, altitude, np.empty(6, field.dtype))
-        for axis in np.eye(3)
-    ]
-    return columns[0][:3], np.stack([column[3:] for column in columns], axis=1)
+    d = 2 if len(field) == 6 else 3
+    up = np.array([0.0, 0.0, 1.0])
+    commands = _CalcCommands(field, p_WB, up, speed, altitude, np.empty(6, field.dtype))
+    # The last column; what else is not of the field is zero, in the field's scalar type.
+    DU = np.outer(commands[3:], up)
+    DU[:d, :d] = speed * field[d:].reshape(d, d)
+    return commands[:3], DU
 
 
 def CalcDerivatives(

@@ -45,19 +45,19 @@ SHARP, FOR_SPEED = 0.8, 2
 
 @dataclass(frozen=True)
 class FlownBounds:
-    """Suprema over a region and all n with |n - m| <= `error`, normalised.
+    """Bounds over a region and all n with |n - m| <= `error`, normalised.
 
     Attributes:
         error: The largest |n - m|, a part of the commanded speed.
         reach: How far the law looks ahead and back, at most.
-        along: Of |m''[n, n]|.
-        along_off: Of what this differs by from its means over twice the reach along n.
-        along_change: Of what its mean over the reach ahead differs by from that behind.
-        bend: Of m'', the root of the sum of squares of the second derivatives.
-        bend_off: Of what m'' differs by from its means, the same.
-        acceleration: Of |J n|.
-        slope: Of the spectral norm of J.
-        most_speed: Supremum of |m|.
+        along: Bounds |m''[n, n]|.
+        along_off: Bounds how far m''[n, n] is from its means over the reach on both sides.
+        along_change: Bounds how far its mean over the reach ahead is from that behind.
+        bend: Bounds m'', as the root of the sum of squares of the second derivatives.
+        bend_off: Bounds in the same norm how far m'' is from its means over both sides.
+        acceleration: Bounds |J n|.
+        slope: Bounds the spectral norm of J.
+        most_speed: Bounds |m|.
         patches: Over how many patches the field was bounded.
     """
 
@@ -145,10 +145,10 @@ def _ask(
 
 
 def flown_facts(field: ExactField, patches: Patches, error: float, reach: float) -> FloatArray:
-    """Returns the suprema of `FlownBounds` over each of n patches of the plane, (n, 8)."""
+    """Returns what `FlownBounds` bounds over each of n patches of the plane, (n, 8)."""
     moved = _within(patches, reach)
     patches = Patches(patches.centers, patches.axes * (1 + moved)[:, None])
-    jet, H = jet_field(field, patches), _Moving(patches, reach)
+    jet, moving = jet_field(field, patches), _Moving(patches, reach)
     m, J = jet.value, jet.first.slopes
     x, y = n = m.value.T
     rho = error + np.hypot(*np.maximum(m.upper - m.value, m.value - m.lower).T)
@@ -156,11 +156,11 @@ def flown_facts(field: ExactField, patches: Patches, error: float, reach: float)
     second, acceleration = _along(jet.second, (x * x, 2 * x * y, y * y)), _along(J, n)
     facts = np.empty((len(m.value), 8))
     facts[:, BEND] = _size([_range(model) for model in jet.second])
-    facts[:, BEND_OFF] = _size([H.off(model) for model in jet.second])
-    change = _size([H.change(model) for model in jet.second])
+    facts[:, BEND_OFF] = _size([moving.off(model) for model in jet.second])
+    change = _size([moving.change(model) for model in jet.second])
     facts[:, ALONG] = _length(_range(second)) + more * facts[:, BEND]
-    facts[:, ALONG_OFF] = _length(H.off(second)) + more * facts[:, BEND_OFF]
-    facts[:, ALONG_CHANGE] = _length(H.change(second, n, rho)) + more * change
+    facts[:, ALONG_OFF] = _length(moving.off(second)) + more * facts[:, BEND_OFF]
+    facts[:, ALONG_CHANGE] = _length(moving.change(second, n, rho)) + more * change
     facts[:, SLOPE] = _norms(J)
     facts[:, ACCELERATION] = _length(_range(acceleration)) + rho * facts[:, SLOPE]
     facts[:, MOST_SPEED] = np.sqrt(m.dot(m).upper[:, 0])
@@ -176,18 +176,16 @@ def _within(patches: Patches, reach: float | FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class _Moving:
-    """What functions over patches differ by from their means over a reach on both sides.
-
-    Attributes:
-        patches: The patches.
-        reach: The reach.
-    """
+    """How functions over patches differ within a reach of each place."""
 
     patches: Patches
     reach: float
 
     def off(self, model: TaylorModel) -> FloatArray:
-        """Returns it of the mean over both sides, (n, f): what is linear is not."""
+        """Bounds how far functions are from their means over both sides, (n, f).
+
+        The linear part of a model is its own mean.
+        """
         moved = _within(self.patches, self.reach)
         squares = np.stack([moved[:, a] * moved[:, b] for a, b in pairs(2)], axis=1)
         bent = np.einsum("nk,nkf->nf", squares, np.abs(model.quadratic))
@@ -196,12 +194,12 @@ class _Moving:
     def change(
         self, model: TaylorModel, n: FloatArray | None = None, rho: float | FloatArray = 1.0
     ) -> FloatArray:
-        """Returns it of the mean over one side from that over the other, (n, f).
+        """Bounds how far means over the way ahead are from those over the way behind, (n, f).
 
         Args:
             model: The functions.
-            n: The direction (2, n); None: any.
-            rho: What it is off by, or what it is long, at most, (n,).
+            n: Half of the way (2, n), in reaches; None: it is of any direction.
+            rho: How far half of the way is from n, or, without n, how long it is, in reaches.
         """
         moved = _within(self.patches, self.reach)
         sums = np.stack([moved[:, a] + moved[:, b] for a, b in pairs(2)], axis=1)

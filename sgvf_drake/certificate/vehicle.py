@@ -101,10 +101,11 @@ class ErrorBounds:
     """Bounds of the error state of a vehicle.
 
     Attributes:
-        velocity: Of the horizontal part of e, m/s.
-        climb: Of the vertical part, m/s.
-        attitude: Of |e_R|, the sine of the attitude error, which is no right angle.
-        rate: Of |beta|, rad/s.
+        velocity: The largest horizontal part of e, m/s.
+        climb: The largest vertical part of e, m/s.
+        attitude: The largest |e_R|, the sine of the attitude error, which is less than a right
+            angle.
+        rate: The largest |beta|, rad/s.
     """
 
     velocity: float
@@ -118,17 +119,17 @@ class Feeding:
     """What errors within bounds feed, and what they mean.
 
     Attributes:
-        attitude: Into the rate of e_R, rad/s.
-        rate: Into the rate of beta, rad/s^2.
-        velocity: What the horizontal velocity error falls to, at most, m/s.
-        climb: What the vertical one falls to.
-        thrust: Of |q|, m/s^2.
-        causes: What is fed into the rates of e_R and of beta, and besides into that of e, by
-            its causes.
-        tilt: Of the angle between thrust and demanded thrust, rad.
-        tilt_demanded: Of the demanded thrust, rad.
-        least_force: Of a propeller, N.
-        most_force: Of a propeller, N.
+        attitude: The most that is fed into the rate of e_R, rad/s.
+        rate: The most that is fed into the rate of beta, rad/s^2.
+        velocity: The horizontal velocity error falls to this at most, m/s.
+        climb: The vertical velocity error falls to this at most, m/s.
+        thrust: The largest |q|, m/s^2.
+        causes: The parts of what is fed, by their causes: into the rates of e_R and of beta,
+            and what a cause adds to the rate of e itself.
+        tilt: The largest angle between thrust and demanded thrust, rad.
+        tilt_demanded: The largest tilt of the demanded thrust, rad.
+        least_force: The least force of a propeller, N.
+        most_force: The largest force of a propeller, N.
         failures: What does not hold, in words.
     """
 
@@ -186,11 +187,11 @@ def prove_stage(
 
     Args:
         law: The vehicle.
-        start: Of the errors at the start.
-        held: Bounds that are claimed to hold from the start on.
-        bounds: Of the field between the walls.
+        start: Bounds of the errors at the start.
+        held: Bounds of the errors that are claimed to hold from then on.
+        bounds: Bounds of the field between the walls.
         unit: Metres in a normalised unit.
-        disturbance: Of |d|, m/s^2.
+        disturbance: The largest |d|, m/s^2.
     """
     found = attitude_responses(law.bandwidth, law.damping)
     fed = feed(law, held, bounds, unit, disturbance)

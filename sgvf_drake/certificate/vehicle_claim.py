@@ -25,9 +25,9 @@ class VehicleProposal:
 
     Attributes:
         pairs: The vehicle stays between the walls of this number, from 1 at the tube.
-        error: |e| stays below this part of the speed, horizontally.
+        error: The horizontal |e| stays below this part of the speed.
         reach: How far the law looks ahead and back at most, normalised.
-        change: What second derivatives are to change by at most; see `FlownBounds`.
+        change: The bound that is asked for `FlownBounds.along_change`.
         start: Bounds of the errors at the start.
         held: Bounds of the errors from then on.
     """

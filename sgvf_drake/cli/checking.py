@@ -137,7 +137,10 @@ def certify(
     ] = 1.0,
     vehicle: Annotated[
         bool,
-        typer.Option("--vehicle", help="With --speed: prove the quadrotor's flight too."),
+        typer.Option(
+            "--vehicle",
+            help="With --speed: prove the flight of a quadrotor with --jerk-feedforward too.",
+        ),
     ] = False,
     approach_rate: Annotated[
         float | None,

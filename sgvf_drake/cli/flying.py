@@ -164,8 +164,8 @@ def fly(
         bool,
         typer.Option(
             "--jerk-feedforward",
-            help="Tell the quadrotor how the command changes: it turns as exactly as the field "
-            "asks.",
+            help="Tell the quadrotor how its command changes, so that it turns exactly as the "
+            "field asks.",
         ),
     ] = False,
     sensors: Annotated[

@@ -103,8 +103,8 @@ class Candidate:
 
     Attributes:
         trial: The search between them.
-        bounds: Of the field between them.
-        change: What was asked for of the second derivatives.
+        bounds: Bounds of the field between them.
+        change: The bound that was asked for `along_change`.
         disturbance: The largest that is tolerated, m/s^2.
     """
 
@@ -163,21 +163,18 @@ class Trial:
     ) -> ErrorBounds | None:
         """Returns bounds that hold from a start on and keep between the walls, if some do."""
         found = attitude_responses(self.law.bandwidth, self.law.damping)
+        if found is None:
+            return None
         errors = start
-        for _ in range(ITERATIONS if found is not None else 0):
-            assert found is not None
+        for _ in range(ITERATIONS):
             fed = feed(self.law, errors, bounds, self.unit, disturbance)
             kept = held_from(found, start, fed)
             if fed.failures or not GROWN * kept.velocity < self.tolerated:
                 return None
-            if all(new < old for new, old in zip(_of(kept), _of(errors), strict=True)):
+            pairs = list(zip(vars(kept).values(), vars(errors).values(), strict=True))
+            if all(new < old for new, old in pairs):
                 return errors
-            errors = ErrorBounds(
-                *(
-                    max(old, GROWN * new)
-                    for new, old in zip(_of(kept), _of(errors), strict=True)
-                )
-            )
+            errors = ErrorBounds(*(max(old, GROWN * new) for new, old in pairs))
         return None
 
     def loosest(self, seen: FlownBounds) -> FlownBounds:
@@ -208,10 +205,6 @@ class Trial:
             f"{self.tolerated:.2g} is tolerated"
         )
         return "; ".join(fed.failures or [told])
-
-
-def _of(errors: ErrorBounds) -> list[float]:
-    return list(vars(errors).values())
 
 
 def _largest(holds: Callable[[float], bool]) -> float:
@@ -453,6 +446,7 @@ def told(result: VehicleResult, answer: VehicleAnswer | None) -> dict[str, Any]:
 
 NOTHING = "nothing was proposed"
 NOT_COVERED = (
+    "the default law: the vehicle is taken to fly with the jerk feed-forward",
     "the hold of the 100 Hz loop: the law is taken to act in continuous time",
     "the estimator, sensors and delays: the state is taken to be known",
     "a wrong mass, thrust or inertia, and motors that lag",
@@ -479,11 +473,11 @@ def sentence(result: VehicleResult, reason: str) -> str:
             starts.append((start.velocity, start.attitude, start.rate))
         error, tilt, rate = np.min(starts, axis=0).tolist()
         return (
-            f"the quadrotor follows the path {speed} within {max(widths):.3g} m, from every "
-            f"state between these walls with a velocity error up to {error:.2g} m/s, an "
-            f"attitude error up to {tilt:.2g} rad and a rate error up to {rate:.2g} rad/s, "
-            f"under every acceleration up to {result.disturbance:.2g} m/s^2 that nobody "
-            "knows of"
+            f"with the jerk feed-forward the quadrotor follows the path {speed} within "
+            f"{max(widths):.3g} m, from every state between these walls with a velocity error "
+            f"up to {error:.2g} m/s, an attitude error up to {tilt:.2g} rad and a rate error "
+            f"up to {rate:.2g} rad/s, under every acceleration up to "
+            f"{result.disturbance:.2g} m/s^2 that nobody knows of"
         )
     failures = [
         f"piece {number}: {'; '.join(piece.failures)}"
